@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from freeflyer.foundation.output_file import check_writable
 from freeflyer.foundation.table import Table
@@ -152,9 +153,11 @@ def show_faults(facility: Facility, show: Show) -> None:
         show(f"fault: {fault.one_line()}")
 
 
-def recording_lines(report: LoopReport) -> list[str]:
-    """Return messages about the files of a recording and about missing data."""
-    recording = report.recording or {}
+def recording_lines(recording: Mapping[str, Any]) -> list[str]:
+    """Return messages about the files of a recording and about missing data.
+
+    `recording` is `LoopReport.recording`, or an empty mapping.
+    """
     paths = [*recording.get("recording", ()), *recording.get("can", ()), recording.get("flight")]
     lines = [f"Recorded: {', '.join(path for path in paths if path)}"] if any(paths) else []
     if recording.get("rows_lost"):

@@ -9,61 +9,25 @@ needs no compiler and can be stepped in a debugger. It can replace an FMU in any
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import casadi as ca
 import numpy as np
 
-from freeflyer.foundation.suggestions import did_you_mean
-from freeflyer_fmus.blocks.block import Block, Requirement, Variable
+from freeflyer.foundation.errors import ComponentError, StepFailed
+from freeflyer.foundation.port import Port, input_writer, output_reader
+from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
+from freeflyer_fmus.blocks.block import Block, Requirement
 from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.blocks.user_block import load_block
-from freeflyer_fmus.errors import BlockError
+from freeflyer_fmus.errors import BlockError, FmuSourceError
 from freeflyer_fmus.robot.robot import Array, Robot
 from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot_file, robot_path
 
 
-class InProcessError(Exception):
-    """Raised if a value or a step is rejected."""
-
-    left_validity = False
-
-
-class RequirementError(InProcessError):
-    """Raised if a requirement is violated. The equations are then no longer valid."""
-
-    left_validity = True
-
-
-@dataclass(frozen=True, kw_only=True)
-class BlockPort:
-    """Variable of a block, with the interface that the master expects.
-
-    `direct` contains the inputs that affect this output at the same instant. `sampled` is True for
-    an output of a sampled block. `prompt` is True if a step computes the output for the start of
-    the step, and not for its end.
-    """
-
-    name: str
-    size: int
-    causality: str
-    units: tuple[str | None, ...]
-    start: tuple[float, ...] | None
-    settable: bool
-    choices: tuple[str, ...] = ()
-    boolean: bool = False
-    real: bool = True
-    direct: frozenset[str] = field(default_factory=frozenset)
-    sampled: bool = False
-
-    @property
-    def prompt(self) -> bool:
-        return bool(self.direct) or self.sampled
-
-
-def ports(block: Block) -> dict[str, BlockPort]:
+def ports(block: Block) -> dict[str, Port]:
     """Return the ports of a block by variable name."""
     owner = {element: v.name for v in block.having("input") for element in v.element_names}
     result = {}
@@ -75,10 +39,10 @@ def ports(block: Block) -> dict[str, BlockPort]:
         }
         direct = {owner[name] for name in depends if name in owner}
         started = block.has_start(variable)
-        result[variable.name] = BlockPort(
+        result[variable.name] = Port(
             name=variable.name,
             size=variable.size,
-            causality=_causality(variable),
+            causality=variable.fmi_causality,
             units=variable.units,
             start=tuple(map(float, variable.start))
             if started and variable.start is not None
@@ -88,15 +52,9 @@ def ports(block: Block) -> dict[str, BlockPort]:
             boolean=variable.kind == "boolean",
             real=variable.kind == "real",
             direct=frozenset(direct),
-            sampled=block.is_sampled and _causality(variable) == "output",
+            sampled=block.is_sampled and variable.fmi_causality == "output",
         )
     return result
-
-
-def _causality(variable: Variable) -> str:
-    if variable.causality == "state":
-        return "local" if variable.local else "output"
-    return variable.causality
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +106,7 @@ class InProcessBlock:
         self._samples = 0
 
     @property
-    def ports(self) -> Mapping[str, BlockPort]:
+    def ports(self) -> Mapping[str, Port]:
         return self._ports
 
     @property
@@ -172,16 +130,16 @@ class InProcessBlock:
         """Set the value of a variable.
 
         After initialisation, set only inputs and tunable parameters; the method does not check this
-        rule. Raises InProcessError if a value is not finite, or has the wrong size.
+        rule. Raises ComponentError if a value is not finite, or has the wrong size.
         """
         numbers = np.asarray(value, dtype=float)
         size = self.value(name).size
         if numbers.size not in (1, size):
-            raise InProcessError(
+            raise ComponentError(
                 f"{self.name}.{name} cannot be set to {numbers.size} numbers; {size} are expected"
             )
         if not np.isfinite(numbers).all():
-            raise InProcessError(
+            raise ComponentError(
                 f"{self.name}.{name} cannot be set to {value}: it must be a finite number"
             )
         self.value(name)[:] = numbers
@@ -200,7 +158,7 @@ class InProcessBlock:
     def start(self, values: Mapping[str, object] | None = None, time: float = 0.0) -> None:
         """Set parameters, start values and inputs, and initialise the block at `time` [s].
 
-        Raises InProcessError if a value or a requirement is violated.
+        Raises ComponentError if a value or a requirement is violated.
         """
         for name, value in (values or {}).items():
             self.set(name, value)
@@ -214,15 +172,21 @@ class InProcessBlock:
             self.set(name, value)
 
     def exit_initialization(self) -> None:
-        (margins,) = self._evaluate("check")
-        self._require(self.block.static_requirements, margins)
-        (self._vectors["state"][:],) = self._evaluate("initial")
-        self._outputs()
+        """Compute the outputs. Raises ComponentError if a requirement is violated."""
+        try:
+            (margins,) = self._evaluate("check")
+            self._require(self.block.static_requirements, margins)
+            (self._vectors["state"][:],) = self._evaluate("initial")
+            self._outputs()
+        except StepFailed as error:
+            raise ComponentError(
+                f"component {self.name} cannot be initialised: {error.reason}"
+            ) from error
 
     def step(self, time: float, size: float) -> None:
         """Advance from `time` by `size` [s].
 
-        Raises InProcessError if a requirement is violated, or if the step skips a sample.
+        Raises StepFailed if a requirement is violated, or if the step skips a sample.
         """
         self._time = time
         if self.block.period is not None:
@@ -237,22 +201,10 @@ class InProcessBlock:
         pass
 
     def bind_inputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        views = list(_views(self, names, buffer))
-
-        def write() -> None:
-            for own, part in views:
-                own[:] = part
-
-        return write
+        return input_writer([self.value(name) for name in names], buffer)
 
     def bind_outputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        views = list(_views(self, names, buffer))
-
-        def read() -> None:
-            for own, part in views:
-                part[:] = own
-
-        return read
+        return output_reader([self.value(name) for name in names], buffer)
 
     # Stepping: the algorithm of c/step.c
 
@@ -266,9 +218,10 @@ class InProcessBlock:
             self._vectors["state"][:], self._vectors["output"][:] = new_states, outputs
             self._samples += 1
         if end > self._due(period) + tolerance:
-            raise InProcessError(
+            raise StepFailed(
+                self.name,
                 f"a communication step of {size:g} s passes over a sample of this block, whose period is {period:g} s; "
-                f"choose a step that divides the period"
+                f"choose a step that divides the period",
             )
 
     def _due(self, period: float) -> int:
@@ -292,8 +245,10 @@ class InProcessBlock:
             x += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
         if not np.isfinite(x).all():
             x[:] = before
-            raise RequirementError(
-                f"the states did not stay finite in a step of {size:g} s; the step was rejected: check the inputs"
+            raise StepFailed(
+                self.name,
+                f"the states did not stay finite in a step of {size:g} s; the step was rejected: check the inputs",
+                left_validity=True,
             )
 
     def derivatives(self, time: float, x: Array) -> Array:
@@ -346,8 +301,10 @@ class InProcessBlock:
             if value > minimum or (value == minimum and not requirement.strict):
                 continue
             bound = "more than" if requirement.strict else "at least"
-            raise RequirementError(
-                f"{requirement.subject} is {value:.6g}; {bound} {minimum:g} is expected: {requirement.remedy}"
+            raise StepFailed(
+                self.name,
+                f"{requirement.subject} is {value:.6g}; {bound} {minimum:g} is expected: {requirement.remedy}",
+                left_validity=True,
             )
 
 
@@ -370,35 +327,21 @@ class _Evaluator:
         return [result.copy() for result in self._results]
 
 
-def _views(
-    component: InProcessBlock, names: Sequence[str], buffer: Array
-) -> list[tuple[Array, Array]]:
-    parts, first = [], 0
-    for name in names:
-        own = component.value(name)
-        parts.append((own, buffer[first : first + own.size]))
-        first += own.size
-    return parts
-
-
 def in_process_component(name: str, options: Mapping[str, Any], directory: Path) -> InProcessBlock:
     """Create an in-process block from a scenario's component table.
 
     `options["block"]` is the name of a shipped block, or a FILE.py. The default is the component's
     name. `options["robot"]` is the name of a shipped robot, or the path of a robot file. The
-    default is the LWR 4+ with six joints. Raises BlockError if an option or the block is unknown.
+    default is the LWR 4+ with six joints. Raises ComponentError for an invalid option, block or
+    robot.
     """
-    for key in options:
-        if key not in ("block", "robot"):
-            raise BlockError(
-                f"component {name}: unknown key {key!r}{did_you_mean(key, ('block', 'robot', 'step_s', 'parameters'))}"
-            )
-    block = options.get("block", name)
-    robot = robot_path(str(options["robot"]), directory) if "robot" in options else DEFAULT_ROBOT
-    if str(block).endswith(".py"):
-        return InProcessBlock(load_block(directory / block)(load_robot_file(robot)), name)
-    if block not in BLOCKS:
-        raise BlockError(
-            f"component {name}: there is no block {block!r}; the shipped blocks are {', '.join(BLOCKS)}"
-        )
-    return InProcessBlock(BLOCKS[block](load_robot_file(robot)), name)
+    for key, hint in unknown_keys(options, ("block", "robot"), ("step_s", "parameters")):
+        raise ComponentError(f"component {name}: unknown key {key!r}{hint}")
+    try:
+        source = str(options.get("block", name))
+        path = robot_path(str(options["robot"]), directory) if "robot" in options else DEFAULT_ROBOT
+        robot = load_robot_file(path)
+        block = load_block(directory / source)(robot) if source.endswith(".py") else source
+        return InProcessBlock(block, name, robot=robot)
+    except FmuSourceError as error:
+        raise ComponentError(f"component {name}: {error}") from error

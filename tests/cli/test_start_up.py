@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from freeflyer import foundation
+
 HEAVY = {
     "can", "casadi", "cryptography", "dask", "fmpy", "matplotlib", "numpy", "pandas", "pint", "pyarrow", "rich", "scipy", "zenoh",
 }  # fmt: skip
@@ -49,6 +51,14 @@ def loaded_by(code: str) -> set[str]:
 )
 def test_no_large_package_is_imported_before_the_command_is_known(code: str) -> None:
     assert not HEAVY & loaded_by(code)
+
+
+def test_the_foundation_needs_only_the_standard_library() -> None:
+    folder = Path(foundation.__path__[0])
+    modules = [f"freeflyer.foundation.{path.stem}" for path in folder.glob("[a-z]*.py")]
+    loaded = {name.partition(".")[0] for name in loaded_by(f"import {', '.join(modules)}")}
+    before = {name.partition(".")[0] for name in loaded_by("import freeflyer")}
+    assert loaded - before - sys.stdlib_module_names == set()
 
 
 def test_a_run_imports_only_the_packages_that_it_uses(tmp_path: Path) -> None:

@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from freeflyer.foundation.errors import ComponentError
 from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.equations.kinematics import end_effector_pose
 from freeflyer_fmus.equations.mechanism import constant_mechanism
-from freeflyer_fmus.in_process_block import InProcessBlock, RequirementError
+from freeflyer_fmus.in_process_block import InProcessBlock
 from freeflyer_fmus.robot.urdf import load_robot_file
 
 T = 1e-3
@@ -153,7 +154,7 @@ def test_a_command_acts_one_period_later(delay: float, late: int) -> None:
 
 
 def test_a_delay_that_is_not_a_period_is_rejected() -> None:
-    with pytest.raises(RequirementError, match="set delay to 0 or to command_period"):
+    with pytest.raises(ComponentError, match="set delay to 0 or to command_period"):
         samples("arm_command_delay", {"delay": 0.002}, {}, 1, "joint_torque")
 
 

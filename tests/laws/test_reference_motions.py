@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
 
+from freeflyer.foundation.errors import ComponentError
 from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.blocks.reference_trajectory import reference_motion
 from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.blocks.waypoint_trajectory import CAPACITY
 from freeflyer_fmus.equations.trajectory import Motion, Shape
 from freeflyer_fmus.equations.waypoints import UNUSED
-from freeflyer_fmus.in_process_block import InProcessBlock, RequirementError
+from freeflyer_fmus.in_process_block import InProcessBlock
 from freeflyer_fmus.robot.urdf import load_robot_file
 
 SX = ca.SX
@@ -263,16 +264,16 @@ def test_velocity_and_acceleration_of_a_spline_are_its_derivatives(seed: int) ->
 )
 def test_waypoints_that_are_not_sorted_by_time_are_rejected(times: list[float]) -> None:
     values = waypoint_values(np.array(times), np.tile([0, 0, 0, 0, 0, 0, 1.0], (len(times), 1)))
-    with pytest.raises(RequirementError, match="sort the waypoints by time"):
+    with pytest.raises(ComponentError, match="sort the waypoints by time"):
         moved("waypoint_trajectory", values, np.zeros(1))
 
 
 def test_waypoints_without_times_are_rejected() -> None:
-    with pytest.raises(RequirementError, match=r"give each waypoint a time \(column t\)"):
+    with pytest.raises(ComponentError, match=r"give each waypoint a time \(column t\)"):
         moved("waypoint_trajectory", {"waypoint_x": np.ones(CAPACITY)}, np.zeros(1))
 
 
 def test_a_waypoint_without_a_direction_is_rejected() -> None:
     values = waypoint_values(np.array([0.0, 1.0]), np.zeros((2, 7)))
-    with pytest.raises(RequirementError, match="quaternion"):
+    with pytest.raises(ComponentError, match="quaternion"):
         moved("waypoint_trajectory", values, np.zeros(1))

@@ -27,7 +27,7 @@ from freeflyer_adapters.loop.stop_notice import (
     SIZE,
     StopNotice,
     check_log_to,
-    one_line,
+    printable_line,
 )
 
 REASON, LEFT = "arm_drive: too many lost cycles", "all devices were brought to rest"
@@ -480,7 +480,7 @@ def test_long_texts_are_cut_between_characters(tmp_path: Path, text: str) -> Non
     assert notice.problems == []
     document = read(tmp_path)
     for name in ("scenario", "reason", "left"):
-        whole, cut = one_line(long), document[name]
+        whole, cut = printable_line(long), document[name]
         assert cut.endswith("...")
         assert whole.startswith(cut[:-3])
         assert (
@@ -503,7 +503,7 @@ def test_any_text_is_printed_in_one_line_and_stored(
     (sentence,) = printed
     assert sentence.isprintable()
     document = read(tmp_path)
-    for name, text in (("reason", one_line(reason)), ("left", one_line(left))):
+    for name, text in (("reason", printable_line(reason)), ("left", printable_line(left))):
         assert document[name] == text or text.startswith(document[name].removesuffix("..."))
     if reason.isprintable() and reason.split(" ") == reason.split() and len(reason) < 500:
         assert document["reason"] == reason

@@ -16,7 +16,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
 from freeflyer_adapters.can.frame import Frame
 from freeflyer_adapters.can.signals import Field, field_of, load, message_of
 from freeflyer_adapters.device.device import LifeCycle
@@ -257,11 +257,8 @@ def check_mapping(mapping: FrameMapping) -> None:
         (mapping.mode_values, [mode.name for mode in Mode]),
         (mapping.life_cycle_values, [state.name for state in LifeCycle]),
     ):
-        for key in table:
-            if key not in known:
-                raise DeviceError(
-                    f"{key!r} in the mapping of the DBC is unknown{did_you_mean(key, known)}"
-                )
+        for key, hint in unknown_keys(table, known):
+            raise DeviceError(f"{key!r} in the mapping of the DBC is unknown{hint}")
     for name, message in mapping.messages.items():
         if not isinstance(message, str):
             raise DeviceError(f"messages.{name} is {message!r}; the name of a message is expected")

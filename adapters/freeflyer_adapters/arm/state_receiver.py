@@ -13,8 +13,9 @@ from collections.abc import Callable, Mapping
 
 import can
 
+from freeflyer.foundation.errors import one_line
 from freeflyer_adapters.arm.frames import ArmFrames
-from freeflyer_adapters.can.link import Receiver, Sender, driver_message
+from freeflyer_adapters.can.link import Receiver, Sender
 from freeflyer_adapters.foundation import environment
 
 MOST_FRAMES = 64
@@ -175,7 +176,7 @@ class StateFrames:
             try:
                 message = bus.recv(0.0 if used or left <= 0 else left * 1e-9)
             except can.CanError as error:
-                self.error, message = driver_message(error), None
+                self.error, message = one_line(error, 300), None
             else:
                 if message is None:
                     self._empty_at = before
@@ -222,7 +223,7 @@ class StateFrames:
         try:
             return self._bus.recv(max(timeout, 0.0)), False
         except can.CanError as error:
-            self.error = driver_message(error)
+            self.error = one_line(error, 300)
             return None, True
 
     def drain(self) -> None:

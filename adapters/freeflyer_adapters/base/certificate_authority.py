@@ -45,21 +45,15 @@ class CertificateAuthority:
     @classmethod
     def new(cls, folder: Path) -> CertificateAuthority:
         """Create an authority and write its certificate and key to `folder`."""
-        key = ec.generate_private_key(ec.SECP256R1())
         # The name is random, because the authorities of two laboratories must have different names.
-        name = _name(f"freeflyer authority {x509.random_serial_number():x}"[:40])
+        name = f"freeflyer authority {x509.random_serial_number():x}"[:40]
         start = datetime.now(UTC) - EARLIER
-        builder = _builder(
-            name, name, key.public_key(), start, start + timedelta(days=AUTHORITY_DAYS)
-        )
-        builder = builder.add_extension(
-            x509.BasicConstraints(ca=True, path_length=0), critical=True
-        )
-        builder = builder.add_extension(_key_usage(signs_certificates=True), critical=True)
-        certificate = builder.sign(key, SHA256())
-        made = cls(key, certificate)
-        _write(Identity(folder, AUTHORITY), key, certificate)
-        return made
+        extensions = [
+            (x509.BasicConstraints(ca=True, path_length=0), True),
+            (_key_usage(signs_certificates=True), True),
+        ]
+        end = start + timedelta(days=AUTHORITY_DAYS)
+        return cls(*_make(Identity(folder, AUTHORITY), name, start, end, extensions))
 
     @classmethod
     def read(cls, folder: Path) -> CertificateAuthority:
@@ -111,56 +105,54 @@ class CertificateAuthority:
         The validity ends `days` days after `start` + `EARLIER`, but not after the validity of the
         authority's certificate.
         """
-        key = ec.generate_private_key(ec.SECP256R1())
         start = start or datetime.now(UTC) - EARLIER
         end = min(start + EARLIER + timedelta(days=days), self.certificate.not_valid_after_utc)
-        builder = _builder(
-            _name(identity.name), self.certificate.subject, key.public_key(), start, end
-        )
         # The extensions limit the uses and the hosts of the certificate.
-        uses = [
-            ExtendedKeyUsageOID.CLIENT_AUTH,
-            *([ExtendedKeyUsageOID.SERVER_AUTH] if may_listen else []),
+        uses = [ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH][: 1 + may_listen]
+        extensions: list[tuple[x509.ExtensionType, bool]] = [
+            (x509.BasicConstraints(ca=False, path_length=None), True),
+            (_key_usage(signs_certificates=False), True),
+            (x509.ExtendedKeyUsage(uses), False),
+            (x509.AuthorityKeyIdentifier.from_issuer_public_key(self.key.public_key()), False),
         ]
-        builder = builder.add_extension(
-            x509.BasicConstraints(ca=False, path_length=None), critical=True
-        )
-        builder = builder.add_extension(_key_usage(signs_certificates=False), critical=True)
-        builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
-        builder = builder.add_extension(
-            x509.AuthorityKeyIdentifier.from_issuer_public_key(self.key.public_key()),
-            critical=False,
-        )
         if hosts:
-            builder = builder.add_extension(
-                x509.SubjectAlternativeName([general_name(h) for h in hosts]), critical=False
-            )
-        certificate = builder.sign(self.key, SHA256())
-        _write(identity, key, certificate)
-        return certificate
+            extensions.append((x509.SubjectAlternativeName(map(general_name, hosts)), False))
+        return _make(identity, identity.name, start, end, extensions, self)[1]
 
 
-def _name(text: str) -> x509.Name:
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
-
-
-def _builder(
-    subject: x509.Name,
-    issuer: x509.Name,
-    key: ec.EllipticCurvePublicKey,
+def _make(
+    identity: Identity,
+    common_name: str,
     start: datetime,
     end: datetime,
-) -> x509.CertificateBuilder:
-    return (
+    extensions: Sequence[tuple[x509.ExtensionType, bool]],
+    authority: CertificateAuthority | None = None,
+) -> tuple[ec.EllipticCurvePrivateKey, x509.Certificate]:
+    """Make and write a key and its certificate.
+
+    `extensions`: each extension, and whether it is critical. Without an authority, the certificate
+    is signed with its own key.
+    """
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
+    builder = (
         x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(issuer)
-        .public_key(key)
+        .subject_name(name)
+        .issuer_name(authority.certificate.subject if authority else name)
+        .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
         .not_valid_before(start)
         .not_valid_after(end)
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
     )
+    for extension, critical in extensions:
+        builder = builder.add_extension(extension, critical=critical)
+    certificate = builder.sign(authority.key if authority else key, SHA256())
+    pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    write_whole(identity.key, lambda partial: _write_private(partial, pem))
+    data = certificate.public_bytes(Encoding.PEM)
+    write_whole(identity.certificate, lambda partial: partial.write_bytes(data))
+    return key, certificate
 
 
 def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
@@ -175,15 +167,6 @@ def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
-
-
-def _write(
-    identity: Identity, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate
-) -> None:
-    pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    write_whole(identity.key, lambda partial: _write_private(partial, pem))
-    data = certificate.public_bytes(Encoding.PEM)
-    write_whole(identity.certificate, lambda partial: partial.write_bytes(data))
 
 
 def _write_private(path: Path, data: bytes) -> None:

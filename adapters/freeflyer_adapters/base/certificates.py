@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
@@ -30,6 +31,7 @@ from freeflyer_adapters.foundation.errors import DeviceError
 AUTHORITY = "ca"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 """Pattern of a certificate's common name. File names and key expressions also contain this name."""
+E = TypeVar("E", bound=x509.ExtensionType)
 USES = {ExtendedKeyUsageOID.CLIENT_AUTH: "connecting", ExtendedKeyUsageOID.SERVER_AUTH: "listening"}
 
 
@@ -51,6 +53,11 @@ class Identity:
     @property
     def key(self) -> Path:
         return self.folder / f"{self.name}.key"
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return the names that have a certificate in the folder."""
+    return sorted(path.stem for path in folder.glob("*.pem") if path.stem != AUTHORITY)
 
 
 def check(
@@ -95,7 +102,7 @@ def check(
         *([ExtendedKeyUsageOID.SERVER_AUTH] if listens else []),
     ]
     for use in needed:
-        if not _is_for(found, use):
+        if not is_for(found, use):
             raise DeviceError(
                 f"{where} is not for {USES[use]} (its extended key usage lacks {use._name}); "
                 f"`freeflyer certificates {folder} --name` makes a certificate for connecting and listening"
@@ -126,11 +133,24 @@ def common_name(certificate: x509.Certificate) -> str:
 
 def hosts_of(certificate: x509.Certificate) -> list[str]:
     """Return the host names and addresses of the certificate (subject alternative names)."""
-    try:
-        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except x509.ExtensionNotFound:
-        return []
+    names = _extension(certificate, x509.SubjectAlternativeName) or ()
     return [str(name.value) for name in names if isinstance(name, x509.DNSName | x509.IPAddress)]
+
+
+def is_for(certificate: x509.Certificate, use: x509.ObjectIdentifier) -> bool:
+    """Return True if the certificate is valid for the extended key usage `use`.
+
+    A certificate without this extension is valid for every use (RFC 5280, 4.2.1.12).
+    """
+    uses = _extension(certificate, x509.ExtendedKeyUsage)
+    return uses is None or use in uses
+
+
+def _extension(certificate: x509.Certificate, kind: type[E]) -> E | None:
+    try:
+        return certificate.extensions.get_extension_for_class(kind).value
+    except x509.ExtensionNotFound:
+        return None
 
 
 def written(host: str) -> str:
@@ -167,20 +187,12 @@ def is_issued(chain: Sequence[x509.Certificate], authorities: Sequence[x509.Cert
     for i, certificate in enumerate(chain):
         if any(_signed(certificate, authority) for authority in authorities):
             return True
-        if (
-            i + 1 == len(chain)
-            or not _is_authority(chain[i + 1])
-            or not _signed(certificate, chain[i + 1])
-        ):
-            return False
+        # The certificate must be signed by the next one, which must be allowed to sign.
+        for issuer in chain[i + 1 : i + 2]:
+            constraints = _extension(issuer, x509.BasicConstraints)
+            if constraints is None or not constraints.ca or not _signed(certificate, issuer):
+                return False
     return False
-
-
-def _is_authority(certificate: x509.Certificate) -> bool:
-    try:
-        return bool(certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca)
-    except x509.ExtensionNotFound:
-        return False
 
 
 def _signed(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
@@ -191,35 +203,18 @@ def _signed(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
     return True
 
 
-def _is_for(certificate: x509.Certificate, use: x509.ObjectIdentifier) -> bool:
-    try:
-        return use in certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
-    except x509.ExtensionNotFound:
-        # A certificate without this extension is valid for every use (RFC 5280, 4.2.1.12).
-        return True
-
-
 def _read(path: Path, subject: str) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError:
-        others = [found.stem for found in path.parent.glob("*.pem") if found.stem != AUTHORITY]
-        near = (
-            did_you_mean(path.stem, others)
-            if path.suffix == ".pem" and path.stem != AUTHORITY
-            else ""
-        )
-        raise DeviceError(
-            f"{subject}: there is no file {path}{near or '; ' + _made(path)}"
-        ) from None
+        if path.stem == AUTHORITY:
+            hint = "; copy the certificate of the authority into this folder"
+        else:
+            near = did_you_mean(path.stem, names_in(path.parent)) if path.suffix == ".pem" else ""
+            hint = near or f"; {remedy(path.parent, path.stem)}"
+        raise DeviceError(f"{subject}: there is no file {path}{hint}") from None
     except OSError as error:
         raise DeviceError(f"{subject}: {path} cannot be read: {error.strerror or error}") from error
-
-
-def _made(path: Path) -> str:
-    if path.stem == AUTHORITY:
-        return "copy the certificate of the authority into this folder"
-    return remedy(path.parent, path.stem)
 
 
 def _certificates(path: Path, subject: str) -> list[x509.Certificate]:
@@ -257,12 +252,8 @@ def _check_key(identity: Identity, certificate: x509.Certificate, subject: str) 
 
 
 def _check_dates(certificate: x509.Certificate, where: str, then: str) -> None:
-    now, start, end = (
-        datetime.now(UTC),
-        certificate.not_valid_before_utc,
-        certificate.not_valid_after_utc,
-    )
-    if now > end:
+    start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    if (now := datetime.now(UTC)) > end:
         raise DeviceError(f"{where} expired on {end:%Y-%m-%d %H:%M} UTC; {then}")
     if now < start:
         raise DeviceError(

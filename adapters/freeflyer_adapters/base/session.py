@@ -11,6 +11,7 @@ from typing import Any
 
 import zenoh
 
+from freeflyer.foundation.errors import one_line
 from freeflyer_adapters.base import certificates
 from freeflyer_adapters.base.access_control import Protection
 from freeflyer_adapters.base.endpoint import Endpoint
@@ -84,4 +85,4 @@ def _protected(protection: Protection) -> Mapping[str, Any]:
 
 def zenoh_message(error: Exception) -> str:
     """Return the message of a Zenoh error, without file names and line numbers of Zenoh."""
-    return " ".join(str(error).split(" at ")[0].split())[:200]
+    return one_line(str(error).split(" at ")[0], 200)

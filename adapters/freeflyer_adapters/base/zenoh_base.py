@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from freeflyer.fmi.component import Array, Port, memory
+from freeflyer.foundation.units import TWIST
 from freeflyer_adapters.base import access_control, commanders
 from freeflyer_adapters.base import diagnosis as link_diagnosis
 from freeflyer_adapters.base.link import OdometryLink, Received, is_usable
@@ -41,7 +42,6 @@ LISTEN = 25
 
 25 samples are sufficient, because a second publisher is detected within 20 samples.
 """
-TWIST = ("m/s",) * 3 + ("rad/s",) * 3
 
 
 class ZenohBase:

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 import can
 
+from freeflyer.foundation.errors import one_line
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_adapters.can.e2e import Checker, Protector, Status
 from freeflyer_adapters.can.frame import Frame
@@ -66,13 +67,8 @@ def open_bus(
         )
     except Exception as error:  # each interface and each driver raises its own exception types
         raise DeviceError(
-            f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {driver_message(error)}"
+            f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {one_line(error, 300)}"
         ) from error
-
-
-def driver_message(error: Exception) -> str:
-    """Return the message of a driver's exception on one line, with at most 300 characters."""
-    return " ".join(str(error).split())[:300] or type(error).__name__
 
 
 def flush(bus: can.BusABC | None) -> None:
@@ -137,7 +133,7 @@ class Sender:
             )
         except can.CanError as error:
             self.failed += 1
-            self.error = driver_message(error)
+            self.error = one_line(error, 300)
             return False
         self.sent += 1
         return True

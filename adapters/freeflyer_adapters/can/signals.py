@@ -16,6 +16,7 @@ from typing import Any
 import cantools
 
 from freeflyer.foundation.bounded_file import content
+from freeflyer.foundation.errors import one_line
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import factor
 from freeflyer_adapters.foundation.errors import DeviceError
@@ -195,9 +196,7 @@ def load(path: Path) -> Any:
     except OSError as error:
         raise DeviceError(f"DBC {path} cannot be read: {error.strerror or error}") from error
     except Exception as error:  # cantools and its parser raise several exception types
-        raise DeviceError(
-            f"DBC {path} cannot be used: {' '.join(str(error).split())[:300]}"
-        ) from error
+        raise DeviceError(f"DBC {path} cannot be used: {one_line(error, 300)}") from error
 
 
 def message_of(database: Any, name: str, path: Path) -> Any:

@@ -17,7 +17,7 @@ import canopen
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoCommunicationError
 
-from freeflyer_adapters.can.link import driver_message
+from freeflyer.foundation.errors import one_line
 from freeflyer_adapters.foundation import environment
 
 MOST_FRAMES = 512
@@ -41,7 +41,7 @@ class PolledNetwork(canopen.Network):
         try:
             message = self.bus.recv(max(timeout, 0.0))
         except can.CanError as error:
-            self.error = driver_message(error)
+            self.error = one_line(error, 300)
             return False
         if message is None:
             return False
@@ -73,7 +73,7 @@ class PolledNetwork(canopen.Network):
             self.bus.send(message)
         except can.CanError as error:
             self.failed += 1
-            self.error = driver_message(error)
+            self.error = one_line(error, 300)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
         """Return a task that sends nothing. The caller itself sends the frames, in its cycles."""

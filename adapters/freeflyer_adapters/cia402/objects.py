@@ -13,6 +13,7 @@ import canopen
 from canopen.objectdictionary.eds import import_eds
 
 from freeflyer.foundation.bounded_file import content
+from freeflyer.foundation.errors import one_line
 from freeflyer_adapters.foundation.errors import DeviceError
 
 LARGEST_EDS = 4 * 2**20
@@ -167,8 +168,7 @@ def dictionary(path: Path, node_id: int) -> Any:
     except OSError as error:
         raise DeviceError(f"EDS {path} cannot be read: {error.strerror or error}") from error
     except Exception as error:  # canopen and its parser raise several exception types
-        text = " ".join(str(error).split())[:300] or type(error).__name__
-        raise DeviceError(f"EDS {path} cannot be used: {text}") from error
+        raise DeviceError(f"EDS {path} cannot be used: {one_line(error, 300)}") from error
     for entry in ENTRIES:
         if not entry.optional and found.get_variable(entry.index, entry.sub) is None:
             raise DeviceError(

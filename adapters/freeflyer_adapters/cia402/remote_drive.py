@@ -10,6 +10,7 @@ from typing import Any
 
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
+from freeflyer.foundation.errors import one_line
 from freeflyer_adapters.cia402 import objects, process_data
 from freeflyer_adapters.cia402.drive_session import DriveSession
 from freeflyer_adapters.cia402.network import PolledNetwork, PolledNode
@@ -321,13 +322,13 @@ class RemoteDrive:
 
     def _sdo_message(self, verb: str, what: str, error: Exception) -> str:
         if isinstance(error, SdoAbortedError):
-            return f"{self.where} {verb} {what}: SDO abort, {' '.join(str(error).split())}"
+            return f"{self.where} {verb} {what}: SDO abort, {one_line(error)}"
         if isinstance(error, SdoError):
             return (
                 f"{self.where} {verb} {what}: no answer within {self.node.sdo.RESPONSE_TIMEOUT:g} s; is the drive (or `freeflyer facility`) "
                 f"running on CAN {self.options.interface}:{self.options.channel}, at this bit rate and node number?"
             )
-        return f"{self.where} {verb} {what}: {' '.join(str(error).split())}"
+        return f"{self.where} {verb} {what}: {one_line(error)}"
 
     # In every cycle
 

@@ -6,6 +6,7 @@ import argparse
 import ipaddress
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from cryptography import x509
@@ -20,7 +21,15 @@ from freeflyer_adapters.base.certificate_authority import (
     CertificateAuthority,
     CertificateError,
 )
-from freeflyer_adapters.base.certificates import AUTHORITY, NAME, Identity, hosts_of, written
+from freeflyer_adapters.base.certificates import (
+    AUTHORITY,
+    NAME,
+    Identity,
+    hosts_of,
+    is_for,
+    names_in,
+    written,
+)
 
 NAMES = ("controller", "base_robot")
 """Default names: one controller and one base robot."""
@@ -42,51 +51,33 @@ class CertificatesCommand:
             metavar="DIR",
             help="folder of the certificate authority; if the folder has no authority, a new authority is made",
         )
+        several = partial(parser.add_argument, action="append", default=[])
         # The peers that get a certificate.
-        parser.add_argument(
+        several(
             "--name",
-            action="append",
-            default=[],
             metavar="NAME",
             help=f"make a certificate for a peer that connects and listens (default: {' and '.join(NAMES)})",
         )
-        parser.add_argument(
+        several(
             "--observer",
-            action="append",
-            default=[],
             metavar="NAME",
             help="make a certificate for a peer that only connects, to read measurements",
         )
-        parser.add_argument(
+        several(
             "--host",
-            action="append",
-            default=[],
             metavar="HOST",
             help=f"host name or address of the peers of --name, in addition to {', '.join(HOSTS)}",
         )
         # The validity, and the replacement of certificates.
-        parser.add_argument(
-            "--days",
-            type=float,
-            default=DAYS,
-            metavar="N",
-            help="validity of the certificates in days (default: 365)",
-        )
-        parser.add_argument(
-            "--renew",
-            action="append",
-            default=[],
-            metavar="NAME",
-            help="replace the certificate and key of an existing name",
+        days = "validity of the certificates in days (default: 365)"
+        parser.add_argument("--days", type=float, default=DAYS, metavar="N", help=days)
+        several(
+            "--renew", metavar="NAME", help="replace the certificate and key of an existing name"
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         directory: Path = arguments.directory
-        names, observers, renewed = (
-            list(arguments.name),
-            list(arguments.observer),
-            list(arguments.renew),
-        )
+        names, observers, renewed = arguments.name, arguments.observer, arguments.renew
         if not names and not observers and not renewed:
             names = list(NAMES)
         # Check all arguments before a file is written.
@@ -102,11 +93,9 @@ class CertificatesCommand:
         # listening, the hosts of --host are added.
         for name in [*names, *observers, *renewed]:
             old = before.get(name)
-            may_listen = _may_listen(old) if old is not None else name in names
-            hosts = _united(
-                hosts_of(old) if old is not None else HOSTS if may_listen else (),
-                arguments.host if may_listen else (),
-            )
+            may_listen = is_for(old, ExtendedKeyUsageOID.SERVER_AUTH) if old else name in names
+            kept = hosts_of(old) if old else HOSTS if may_listen else ()
+            hosts = _united(kept, arguments.host if may_listen else ())
             made = authority.issue(
                 Identity(directory, name), days=arguments.days, hosts=hosts, may_listen=may_listen
             )
@@ -157,10 +146,8 @@ def _check(
                 )
     for name in renewed:
         if not Identity(directory, name).certificate.exists():
-            known = sorted(path.stem for path in directory.glob("*.pem") if path.stem != AUTHORITY)
-            raise CertificateError(
-                f"--renew {name}: there is no {directory}/{name}.pem{did_you_mean(name, known)}"
-            )
+            hint = did_you_mean(name, names_in(directory))
+            raise CertificateError(f"--renew {name}: there is no {directory}/{name}.pem{hint}")
 
 
 def _is_host(host: str) -> bool:
@@ -193,16 +180,6 @@ def _read(identity: Identity) -> x509.Certificate:
         raise CertificateError(
             f"{identity.certificate} is not a certificate that can be renewed"
         ) from error
-
-
-def _may_listen(certificate: x509.Certificate) -> bool:
-    try:
-        return (
-            ExtendedKeyUsageOID.SERVER_AUTH
-            in certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
-        )
-    except x509.ExtensionNotFound:
-        return True
 
 
 def _united(hosts: Sequence[str], more: Sequence[str]) -> list[str]:

@@ -115,7 +115,7 @@ class HilCommand:
         for table in (result.table, times_table(report.times), counts_table(report.devices)):
             console.print(as_rich(table))
         show(f"Results in {result.directory}: record.parquet, summary.json, stop.json")
-        for sentence in (*report.remarks, *recording_lines(report)):
+        for sentence in (*report.remarks, *recording_lines(report.recording or {})):
             show(sentence)
         return verdict(result.scenario, result.outcome)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
-from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.suggestions import unknown_keys
 from freeflyer_adapters.foundation.errors import DeviceError
 
 T = TypeVar("T")
@@ -17,11 +17,8 @@ KINDS = {str: "a text", int: "a whole number", dict: "a table", list: "a list"}
 
 def known_keys(name: str, raw: Mapping[str, Any], keys: Sequence[str]) -> None:
     """Check the keys of `raw`. Raises DeviceError for a key that is not in `keys`."""
-    for key in raw:
-        if key not in keys:
-            raise DeviceError(
-                f"device {name}: unknown key {key!r}{did_you_mean(key, [*keys, 'kind', 'step_s', 'parameters'])}"
-            )
+    for key, hint in unknown_keys(raw, keys, ("kind", "step_s", "parameters")):
+        raise DeviceError(f"device {name}: unknown key {key!r}{hint}")
 
 
 def checked(name: str, raw: Mapping[str, Any], key: str, kind: type[T], default: T) -> T:

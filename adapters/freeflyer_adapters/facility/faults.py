@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args
 
-from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
 from freeflyer_adapters.foundation.errors import DeviceError
 
 Direction = Literal["to_controller", "to_device", "both"]
@@ -147,9 +147,8 @@ def read(raw: Any) -> tuple[Fault, ...]:
 
 def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
     known = [f.name for f in fields(Fault)]
-    for key in entry:
-        if key not in known:
-            raise DeviceError(f"{subject}: {key} is not known{did_you_mean(key, known)}")
+    for key, hint in unknown_keys(entry, known):
+        raise DeviceError(f"{subject}: {key} is not known{hint}")
     kind = entry.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         hint = did_you_mean(str(kind), KINDS) or f"; one of {', '.join(KINDS)} is expected"
@@ -191,11 +190,9 @@ def read_random(raw: Any) -> RandomFaults:
     if not isinstance(raw, Mapping):
         raise DeviceError(f"[facility] random_faults is {raw!r}; a table is expected")
     known = {f.name: f.default for f in fields(RandomFaults)}
+    for key, hint in unknown_keys(raw, known):
+        raise DeviceError(f"[facility.random_faults] {key} is not known{hint}")
     for key, value in raw.items():
-        if key not in known:
-            raise DeviceError(
-                f"[facility.random_faults] {key} is not known{did_you_mean(key, known)}"
-            )
         if key == "kinds":
             if not isinstance(value, list) or not all(
                 isinstance(kind, str) and kind in KINDS for kind in value

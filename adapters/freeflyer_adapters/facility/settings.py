@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.suggestions import unknown_keys
 from freeflyer.scenario.scenario import Scenario
 from freeflyer_adapters.facility import faults
 from freeflyer_adapters.facility.faults import Fault, RandomFaults
@@ -83,9 +83,9 @@ def read(raw: Mapping[str, Any]) -> FacilitySettings:
         "faults": faults.read,
         "random_faults": faults.read_random,
     }
+    for key, hint in unknown_keys(raw, known):
+        raise DeviceError(f"[facility] {key} is not known{hint}")
     for key, value in raw.items():
-        if key not in known:
-            raise DeviceError(f"[facility] {key} is not known{did_you_mean(key, known)}")
         if key in readers:
             continue
         whole = isinstance(known[key].default, int)

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from freeflyer.fmi.component import Array, Port
+from freeflyer.foundation.units import TWIST
 from freeflyer_adapters.base import access_control, commanders
 from freeflyer_adapters.base import options as link_options
 from freeflyer_adapters.base.link import Received, is_usable
 from freeflyer_adapters.base.session import open_session
-from freeflyer_adapters.base.zenoh_base import TWIST
 from freeflyer_adapters.device.device import LifeCycle
 from freeflyer_adapters.facility.base_logic import MOST_USED, BaseLogic
 from freeflyer_adapters.facility.link_faults import LinkFaults

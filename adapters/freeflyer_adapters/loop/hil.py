@@ -18,7 +18,7 @@ from typing import Any
 
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.clock import seconds
-from freeflyer.foundation.errors import StepFailed
+from freeflyer.foundation.errors import StepFailed, one_line
 from freeflyer.foundation.interrupts import interrupts, no_interrupts
 from freeflyer.foundation.signal_name import split
 from freeflyer.master.connection import Connection
@@ -354,11 +354,7 @@ def _loop(
 
 def reason_of(error: BaseException) -> str:
     """Return the reason of a stop that `error` caused, in one line."""
-    return (
-        INTERRUPTED
-        if isinstance(error, KeyboardInterrupt)
-        else " ".join(str(error).split()) or repr(error)
-    )
+    return INTERRUPTED if isinstance(error, KeyboardInterrupt) else one_line(error)
 
 
 class _Stopping:

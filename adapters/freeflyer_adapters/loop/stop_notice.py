@@ -67,7 +67,7 @@ class StopNotice:
         self._environment, self._show, self._given = environment.present(), show, False
         self._started = self._environment.monotonic_ns()
         self._fields: dict[str, Any] = {
-            "scenario": _cut(one_line(scenario), LONGEST["scenario"]),
+            "scenario": _cut(printable_line(scenario), LONGEST["scenario"]),
             "stopped": False,
             "orderly": None,
             "reason": None,
@@ -106,7 +106,7 @@ class StopNotice:
             self._environment.time_ns(),
             (self._environment.monotonic_ns() - self._started) * 1e-9,
         )
-        reason, left = one_line(reason), one_line(left)
+        reason, left = printable_line(reason), printable_line(left)
         sentence = f"Stop: {reason}; {left}"
         texts = {
             name: _cut(text, LONGEST[name]) for name, text in (("reason", reason), ("left", left))
@@ -218,7 +218,7 @@ def check_log_to(text: str) -> None:
     _SystemLog(text).close()
 
 
-def one_line(text: str) -> str:
+def printable_line(text: str) -> str:
     """Return `text` without line ends and control characters. Invalid UTF-8 is escaped."""
     visible = text.encode(errors="backslashreplace").decode()
     return " ".join("".join(c if c.isprintable() else " " for c in visible).split())
@@ -298,4 +298,4 @@ def _is_writable(sentence: str) -> bool:
 
 
 def _message(error: BaseException) -> str:
-    return one_line(getattr(error, "strerror", None) or str(error) or type(error).__name__)
+    return printable_line(getattr(error, "strerror", None) or str(error) or type(error).__name__)

@@ -41,12 +41,12 @@ LATEST = 253_402_300_799.0
 
 def copy_frames(
     path: Path, file: BinaryIO, output: BinaryIO | None
-) -> tuple[int, int | None, int | None, str, bool]:
+) -> tuple[int, int | None, int | None, str]:
     """Copy all frames of intact containers to a new log. If `output` is None, only check the file.
 
-    Return the number of frames, the earliest time and the latest time [ns since the epoch], a
-    message about lost data, and whether the file is complete. Raises RecordError if the file is
-    not a BLF file.
+    Return the number of frames, the earliest time and the latest time [ns since the epoch], and a
+    message about lost data. The message is empty if the file is complete. Raises RecordError if the
+    file is not a BLF file.
     """
     # The reader needs the true size of the file header. Some versions of BLF store another size
     # in the header, so this size is corrected.
@@ -84,16 +84,19 @@ def copy_frames(
     # Describe the lost data.
     parts = []
     if log.skipped:
-        parts.append(
-            f"{log.skipped} bytes in {log.places} place{'s' * (log.places > 1)} could not be read"
-        )
+        parts.append(unread(log.skipped, log.places))
     if broken:
         parts.append(
             f"the data after {broken} invalid object{'s' * (broken > 1)} could not be decoded"
         )
     if size != log.length and not parts:
         parts.append("the end of the file was missing")
-    return kept, begin, end, ", ".join(parts), not parts
+    return kept, begin, end, ", ".join(parts)
+
+
+def unread(skipped: int, places: int) -> str:
+    """Return the message about `skipped` bytes."""
+    return f"{skipped} bytes in {places} place{'s' * (places > 1)} could not be read"
 
 
 class BlfError(Exception):
@@ -124,24 +127,19 @@ class _Log:
         while place < self.length:
             container = self._container(place)
             if container is not None:
-                base, data, content = container
+                whole, content = container
+                whole += bytes(len(whole) % 4)
                 if after_gap:
-                    begin = _first_object(content)
-                    content = content[begin:]
-                    section.write(_uncompressed_container(content))
-                else:
-                    section.write(base + data + bytes(len(base + data) % 4))
+                    content = content[_first_object(content) :]
+                section.write(_uncompressed_container(content) if after_gap else whole)
                 after_gap = False
-                place += len(base + data) + len(base + data) % 4
+                place += len(whole)
                 continue
-            following = (
-                self._next(place + 1) if self._allowance > 0 and self._work > 0 else self.length
-            )
-            self.skipped, self.places, place = (
-                self.skipped + following - place,
-                self.places + 1,
-                following,
-            )
+            is_allowed = self._allowance > 0 and self._work > 0
+            following = self._next(place + 1) if is_allowed else self.length
+            self.skipped += following - place
+            self.places += 1
+            place = following
             if not after_gap:
                 section.seek(0)
                 yield section
@@ -149,8 +147,8 @@ class _Log:
         section.seek(0)
         yield section
 
-    def _container(self, place: int) -> tuple[bytes, bytes, bytes] | None:
-        """Return the header, the compressed content and the decompressed content of a container.
+    def _container(self, place: int) -> tuple[bytes, bytes] | None:
+        """Return a container and its decompressed content.
 
         Return None if there is no intact container at `place`.
         """
@@ -168,7 +166,7 @@ class _Log:
         if content is None:
             return None
         self._allowance -= len(content)
-        return base, data, content
+        return base + data, content
 
     def _next(self, place: int) -> int:
         while place < self.length:

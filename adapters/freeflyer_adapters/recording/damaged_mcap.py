@@ -13,10 +13,10 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import BinaryIO, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import lz4.frame
 import zstandard
@@ -50,6 +50,19 @@ WORK, WORK_A_BYTE = 4 * 2**20, 8
 """Limit of the bytes that are read: `WORK`, plus `WORK_A_BYTE` for each byte of the file."""
 DEFINITIONS = 64 * 2**20
 """Maximum size of all schemas and channels [bytes]."""
+SKIPPED = (
+    Opcode.CHUNK_INDEX,
+    Opcode.SUMMARY_OFFSET,
+    Opcode.METADATA_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+)
+"""Records whose content is not needed. Private records (0x80 and above) are skipped, too."""
+KINDS: Mapping[int, Any] = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.ATTACHMENT: Attachment,
+}
 NEXT_CHUNK = re.compile(rb"\x06[\s\S]{4}\x00{4}")
 FIRST_WINDOW, WINDOW = 2**12, 2**20
 BROKEN = (
@@ -113,8 +126,7 @@ class DamagedMcap:
         self.has_magic = self._read(0, len(MAGIC)) == MAGIC
         self._unpack_left = UNPACKED + UNPACKED_A_BYTE * self.size
         self._work_left = WORK + WORK_A_BYTE * self.size
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, Channel] = {}
+        self._defined: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
         self._checked: set[tuple[int, int]] = set()
         self._definition_bytes = 0
         self._ended = False
@@ -131,28 +143,25 @@ class DamagedMcap:
         # First read these repeated definitions, because the definitions at the start of the file
         # may be damaged.
         self._take_summary()
-        damage, place = self.damage, len(MAGIC) if self.has_magic else 0
-        if not self.has_magic:
-            place = self._skip(0, 0)
+        place = len(MAGIC) if self.has_magic else self._skip(0, None)
         # Read record by record, and skip damaged places.
         first_record = place
         while place < self.size and not self._ended:
-            length = self._length(place)
-            if tail is not None and length is not None and self._read(place, 1)[0] == Opcode.CHUNK:
+            head = self._head(place)
+            if tail is not None and head is not None and head[0] == Opcode.CHUNK:
                 begin, tail = self.size - tail, None
                 if place < begin:
                     place = self._next_chunk(begin)
                     continue
-            taken: list[Whole] | Iterator[Whole] | None = None
-            if length is not None:
-                taken = self._taken(place, length)
-            if taken is None:
-                place = self._skip(place, length)
+            taken = None if head is None else self._taken(place, *head)
+            if head is None or taken is None:
+                place = self._skip(place, head)
                 continue
             yield from taken
-            place += HEAD.size + (length or 0)
+            place += HEAD.size + head[1]
+        damage = self.damage
         damage.is_whole = (
-            self.has_magic and self._ended and not damage.places and not damage.undefined
+            self.has_magic and self._ended and not self.damage.places and not self.damage.undefined
         )
         if not self._chunks:
             yield from self._outside_chunks(first_record)
@@ -163,8 +172,11 @@ class DamagedMcap:
         self.file.seek(place)
         return self.file.read(size)
 
-    def _length(self, place: int) -> int | None:
-        """Return the length of the record at `place`, or None if no record can start at `place`."""
+    def _head(self, place: int) -> tuple[int, int] | None:
+        """Return the opcode and the length of the record at `place`.
+
+        Return None if no record can start at `place`.
+        """
         head = self._read(place, HEAD.size)
         if len(head) < HEAD.size:
             return None
@@ -173,9 +185,16 @@ class DamagedMcap:
             return None
         if opcode == Opcode.CHUNK and not self._is_chunk(place, length):
             return None
-        if opcode > Opcode.DATA_END and opcode < 0x80:
-            return None
-        return int(length)
+        return None if Opcode.DATA_END < opcode < 0x80 else (opcode, length)
+
+    def _heads(self, place: int) -> Iterator[tuple[int, int, int]]:
+        """Yield the place of the body, the opcode and the length of each record.
+
+        Stop at the first damaged place.
+        """
+        while place < self.size and (head := self._head(place)) is not None:
+            yield place + HEAD.size, *head
+            place += HEAD.size + head[1]
 
     def _is_chunk(self, place: int, length: int) -> bool:
         """Return whether the lengths in the chunk header match the length of the record."""
@@ -188,63 +207,43 @@ class DamagedMcap:
         (data,) = struct.unpack_from("<Q", body, CHUNK.size + name)
         return bool(length == CHUNK.size + name + 8 + data)
 
-    def _taken(self, place: int, length: int) -> list[Whole] | Iterator[Whole] | None:
+    def _taken(self, place: int, opcode: int, length: int) -> Iterable[Whole] | None:
         """Read the record at `place` and return the records to yield.
 
         Return None if the record at `place` is damaged.
         """
         # The limit `WORK` applies to the sum of all records that are read.
         self._work_left -= length
-        if self._work_left < 0:
+        self._others += opcode in (Opcode.METADATA, Opcode.ATTACHMENT)
+        if self._work_left < 0 or self._others > MOST_OTHERS:
             self.damage.exhausted = True
             return None
-        # Index records and private records: their content is not needed.
-        opcode = self._read(place, 1)[0]
-        if (
-            opcode
-            in (
-                Opcode.CHUNK_INDEX,
-                Opcode.SUMMARY_OFFSET,
-                Opcode.METADATA_INDEX,
-                Opcode.ATTACHMENT_INDEX,
-            )
-            or opcode >= 0x80
-        ):
-            return []
+        if opcode in SKIPPED or opcode >= 0x80:
+            return ()
         if opcode == Opcode.FOOTER:
             self._ended = self._footer(place, length)
-            return [] if self._ended else None
-        if opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
-            self._others += 1
-            if self._others > MOST_OTHERS:
-                self.damage.exhausted = True
-                return None
+            return () if self._ended else None
         # The content of the following records is parsed.
         body = self._read(place + HEAD.size, length)
+        is_valid = True  # header, end of data
         match opcode:
             case Opcode.CHUNK:
                 return self._chunk(body)
+            case Opcode.METADATA | Opcode.ATTACHMENT:
+                record = _parsed(KINDS[opcode], body)
+                return None if record is None else [record]
             case Opcode.SCHEMA | Opcode.CHANNEL:
-                return [] if self._define(opcode, body) else None
+                is_valid = self._define(opcode, body)
             case Opcode.MESSAGE:
-                return [] if length >= MESSAGE.size else None
-            case Opcode.METADATA:
-                metadata = _parsed(Metadata, body)
-                return None if metadata is None else [metadata]
-            case Opcode.ATTACHMENT:
-                attachment = _parsed(Attachment, body)
-                return None if attachment is None else [attachment]
+                is_valid = length >= MESSAGE.size
             case Opcode.STATISTICS:
                 statistics = _parsed(Statistics, body)
-                if statistics is None:
-                    return None
-                self.damage.expected = statistics.message_count
-                return []
+                is_valid = statistics is not None
+                if statistics is not None:
+                    self.damage.expected = statistics.message_count
             case Opcode.MESSAGE_INDEX:
-                fits = length >= 6 and struct.unpack_from("<I", body, 2)[0] == length - 6
-                return [] if fits else None
-            case _:  # header, end of data
-                return []
+                is_valid = length >= 6 and struct.unpack_from("<I", body, 2)[0] == length - 6
+        return () if is_valid else None
 
     def _footer(self, place: int, length: int) -> bool:
         end = place + HEAD.size + length
@@ -261,21 +260,19 @@ class DamagedMcap:
         definition from a chunk (`checked`) has a checksum. Such a definition replaces a definition
         without a checksum.
         """
-        schema = _parsed(Schema, body) if opcode == Opcode.SCHEMA else None
-        channel = _parsed(Channel, body) if opcode == Opcode.CHANNEL else None
-        for record, known in ((schema, self._schemas), (channel, self._channels)):
-            if record is None or (
-                record.id in known and (not checked or (opcode, record.id) in self._checked)
-            ):
-                continue
+        record, known = _parsed(KINDS[opcode], body), self._defined[opcode]
+        if record is None:
+            return False
+        key = (opcode, record.id)
+        if record.id not in known or (checked and key not in self._checked):
             self._definition_bytes += len(body)
             if self._definition_bytes > DEFINITIONS or len(known) >= MOST_DEFINITIONS:
                 self.damage.exhausted = True
                 return False
-            known[record.id] = record  # type: ignore[assignment]
+            known[record.id] = record
             if checked:
-                self._checked.add((opcode, record.id))
-        return channel is not None or (schema is not None and schema.id != 0)
+                self._checked.add(key)
+        return opcode == Opcode.CHANNEL or record.id != 0
 
     # Chunks
 
@@ -294,9 +291,8 @@ class DamagedMcap:
             return None
         end = 0
         for opcode, first, end in _inside(data):
-            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE) or (
-                opcode == Opcode.MESSAGE and end - first < MESSAGE.size
-            ):
+            is_message = opcode == Opcode.MESSAGE and end - first >= MESSAGE.size
+            if not is_message and opcode not in self._defined:
                 return None
         if end != len(data):
             return None
@@ -314,8 +310,8 @@ class DamagedMcap:
 
     def _message(self, body: bytes) -> WholeMessage | None:
         number, sequence, log_time, publish_time = MESSAGE.unpack_from(body)
-        channel = self._channels.get(number)
-        schema = None if channel is None else self._schemas.get(channel.schema_id)
+        channel = self._defined[Opcode.CHANNEL].get(number)
+        schema = channel and self._defined[Opcode.SCHEMA].get(channel.schema_id)
         if channel is None or (schema is None and channel.schema_id):
             self.damage.undefined += 1
             return None
@@ -323,37 +319,26 @@ class DamagedMcap:
 
     def _outside_chunks(self, place: int) -> Iterator[Whole]:
         """Yield the messages of a file without chunks, up to the first damaged place."""
-        while place < self.size:
-            length = self._length(place)
-            if length is None:
-                return
-            if self._read(place, 1)[0] == Opcode.MESSAGE and length >= MESSAGE.size:
-                message = self._message(self._read(place + HEAD.size, length))
+        for body, opcode, length in self._heads(place):
+            if opcode == Opcode.MESSAGE and length >= MESSAGE.size:
+                message = self._message(self._read(body, length))
                 if message is not None:
                     yield message
-            place += HEAD.size + length
 
     # Damaged places
 
-    def _skip(self, place: int, length: int | None) -> int:
+    def _skip(self, place: int, head: tuple[int, int] | None) -> int:
         """Return the place at which reading continues after a damaged place.
 
-        If the length of the damaged record is correct, reading continues at the next record.
+        If `head`, the head of the damaged record, is correct, reading continues at the next record.
         Otherwise reading continues at the next chunk, or at the end if there is no further chunk.
         """
         self.damage.places += 1
         following = self.size
         if not self.damage.exhausted:
-            behind = place + HEAD.size + (length or 0)
-            if (
-                length is not None
-                and place
-                and behind < self.size
-                and self._length(behind) is not None
-            ):
-                following = behind
-            else:
-                following = self._next_chunk(place + 1)
+            behind = self.size if head is None else place + HEAD.size + head[1]
+            is_next = behind < self.size and self._head(behind) is not None
+            following = behind if is_next else self._next_chunk(place + 1)
         self.damage.skipped += following - place
         return following
 
@@ -365,7 +350,7 @@ class DamagedMcap:
             window = self._read(place, size + HEAD.size - 1)
             for found in NEXT_CHUNK.finditer(window):
                 start = place + found.start()
-                if self._length(start) is not None:
+                if self._head(start) is not None:
                     return start
             place, size = place + size, min(2 * size, WINDOW)
         return self.size
@@ -378,13 +363,9 @@ class DamagedMcap:
         if len(footer) < HEAD.size + FOOTER_SIZE or footer[0] != Opcode.FOOTER:
             return
         (place,) = struct.unpack_from("<Q", footer, HEAD.size)
-        while len(MAGIC) <= place < self.size and (length := self._length(place)) is not None:
-            opcode = self._read(place, 1)[0]
-            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or not self._define(
-                opcode, self._read(place + HEAD.size, length)
-            ):
+        for body, opcode, length in self._heads(place) if place >= len(MAGIC) else ():
+            if opcode not in self._defined or not self._define(opcode, self._read(body, length)):
                 return
-            place += HEAD.size + length
 
 
 def _inside(data: bytes) -> Iterator[tuple[int, int, int]]:

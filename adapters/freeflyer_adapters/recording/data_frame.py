@@ -11,7 +11,7 @@ import pandas
 from mcap.records import Metadata
 
 from freeflyer.fmi.component import Array
-from freeflyer.foundation.errors import RecordError
+from freeflyer.foundation.errors import RecordError, one_line
 from freeflyer.master.record import Signal
 from freeflyer_adapters.recording.damaged_mcap import DamagedMcap, WholeMessage
 from freeflyer_adapters.recording.mcap_file import RUN, STARTED, STOP
@@ -54,8 +54,9 @@ def read_recording(path: str | Path) -> pandas.DataFrame:
     try:
         return _joined(found, metadata)
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError, MemoryError) as error:
-        text = " ".join(str(error).split())[:200]
-        raise RecordError(f"{path} is not a valid recording of a loop: {text}") from error
+        raise RecordError(
+            f"{path} is not a valid recording of a loop: {one_line(error, 200)}"
+        ) from error
 
 
 def _take(path: Path, found: Found, metadata: dict[str, dict[str, str]]) -> None:

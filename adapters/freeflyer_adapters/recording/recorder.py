@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from freeflyer.foundation.errors import CosimError
+from freeflyer.foundation.errors import CosimError, one_line
 from freeflyer_adapters.foundation import pacing
 from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.recording.can_log import CanLog
@@ -93,7 +93,7 @@ class Recorder:
         try:
             yield
         except (OSError, CosimError, DeviceError) as error:
-            text = getattr(error, "strerror", None) or " ".join(str(error).split())
+            text = getattr(error, "strerror", None) or one_line(error)
             self.written.missing.append(f"{subject} is incomplete: {text}")
             self._complain(f"{subject} has stopped: {text}; the loop continues")
 

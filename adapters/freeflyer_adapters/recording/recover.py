@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from freeflyer.foundation.errors import CosimError, RecordError
 from freeflyer.foundation.output_file import write_whole
-from freeflyer_adapters.recording.damaged_blf import copy_frames
+from freeflyer_adapters.recording.damaged_blf import copy_frames, unread
 from freeflyer_adapters.recording.damaged_mcap import Damage, DamagedMcap, WholeMessage
 from freeflyer_adapters.recording.mcap_file import library
 from freeflyer_adapters.recording.ring import RingReader, folder, is_left_behind
@@ -110,10 +110,7 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
                     os.fsync(stream.fileno())
 
         write_whole(target, write)
-    done = found[0]
-    return Recovered(
-        source=path, path=target, kept=done.kept, begin=done.begin, end=done.end, lost=done.lost
-    )
+    return replace(found[0], path=target)
 
 
 def _reject_foreign_ring(path: Path) -> None:
@@ -181,15 +178,7 @@ def _ring_result(ring: Path, saved: Saved) -> Recovered:
         return Recovered(source=ring, path=None, kept=0, begin=None, end=None, lost="")
     with _opened(saved.flight) as file:
         copied = _copy_messages(saved.flight, file, None, None)
-    return Recovered(
-        source=ring,
-        path=saved.flight,
-        kept=copied.kept,
-        begin=copied.begin,
-        end=copied.end,
-        lost="",
-        rest=saved.rest,
-    )
+    return replace(copied, source=ring, path=saved.flight, lost="", rest=saved.rest)
 
 
 @contextmanager
@@ -208,12 +197,12 @@ def _copy_messages(
 ) -> Recovered:
     """Copy all intact messages to a new file. If `stream` is None, only check the file."""
     source = DamagedMcap(file)
-    kept, begin, end, others = 0, LATEST, EARLIEST, 0
+    kept, others, times = 0, 0, (LATEST, EARLIEST)
     output = None if stream is None else _Output(stream)
     for record in source.records():
         if isinstance(record, WholeMessage):
             kept += 1
-            begin, end = min(begin, record.log_time), max(end, record.log_time)
+            times = min(times[0], record.log_time), max(times[1], record.log_time)
             if progress is not None and kept % 10_000 == 0:
                 progress(file.tell(), source.size)
         else:
@@ -228,11 +217,9 @@ def _copy_messages(
     lost = _lost(damage, kept)
     if output is not None:
         output.finish(path, kept, lost)
-    span = (begin, end) if kept else (None, None)
-    whole = damage.is_whole and not lost and stream is None
-    return Recovered(
-        source=path, path=None if whole else path, kept=kept, begin=span[0], end=span[1], lost=lost
-    )
+    begin, end = times if kept else (None, None)
+    new = None if damage.is_whole and not lost and stream is None else path
+    return Recovered(source=path, path=new, kept=kept, begin=begin, end=end, lost=lost)
 
 
 def _lost(damage: Damage, kept: int) -> str:
@@ -240,9 +227,7 @@ def _lost(damage: Damage, kept: int) -> str:
     if damage.expected is not None and damage.expected > kept:
         parts.append(f"{damage.expected - kept} of {damage.expected} messages lost")
     if damage.skipped:
-        parts.append(
-            f"{damage.skipped} bytes in {damage.places} place{'s' * (damage.places > 1)} could not be read"
-        )
+        parts.append(unread(damage.skipped, damage.places))
     if damage.undefined:
         parts.append(
             f"{damage.undefined} messages lost because their definition is missing in the file"
@@ -306,8 +291,6 @@ class _Output:
 def _copy_frames(
     path: Path, file: BinaryIO, stream: BinaryIO | None, progress: Progress | None
 ) -> Recovered:
-    kept, begin, end, lost, whole = copy_frames(path, file, stream)
-    is_there = whole and stream is None
-    return Recovered(
-        source=path, path=None if is_there else path, kept=kept, begin=begin, end=end, lost=lost
-    )
+    kept, begin, end, lost = copy_frames(path, file, stream)
+    new = path if lost or stream is not None else None
+    return Recovered(source=path, path=new, kept=kept, begin=begin, end=end, lost=lost)

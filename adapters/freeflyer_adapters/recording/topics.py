@@ -41,6 +41,7 @@ import numpy as np
 
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.signal_name import split
+from freeflyer.foundation.units import ACCELERATION, TWIST, WRENCH
 from freeflyer.master.record import Signal
 from freeflyer_adapters.device.device import STATE, LifeCycle
 from freeflyer_adapters.recording.cdr_layout import Layout, Numbers
@@ -161,9 +162,9 @@ def _standard_topics(component: str, variables: Mapping[str, Signal]) -> list[To
             ("joint_velocity", None, _joints),
             ("joint_torque", None, _joints),
             ("orientation", ("1",) * 4, _pose),
-            ("velocity", ("m/s",) * 3 + ("rad/s",) * 3, _twist_like("Twist")),
-            ("acceleration", ("m/s2",) * 3 + ("rad/s2",) * 3, _twist_like("Accel")),
-            ("wrench", ("N",) * 3 + ("N.m",) * 3, _twist_like("Wrench")),
+            ("velocity", TWIST, _twist_like("Twist")),
+            ("acceleration", ACCELERATION, _twist_like("Accel")),
+            ("wrench", WRENCH, _twist_like("Wrench")),
         ):
             signal = variables[variable]
             if (
@@ -221,7 +222,7 @@ def _pose(
     position, orientation, velocity = (variables.get(name) for name in names)
     if position is None or orientation is None or not _has(position, ("m",) * 3):
         return None, set()
-    moves = _has(velocity, ("m/s",) * 3 + ("rad/s",) * 3)
+    moves = _has(velocity, TWIST)
     parts = (component if prefix.strip("_") in ("", "true") else prefix).split("_")
     layout = Layout(INERTIAL)
     if BASE in parts and moves and velocity is not None:

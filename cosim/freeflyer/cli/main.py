@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NoReturn, Protocol
 from freeflyer.foundation.errors import CosimError, report_error
 from freeflyer.foundation.exit_codes import BAD_INPUT, STOPPED
 from freeflyer.foundation.interrupts import ENDING
-from freeflyer.foundation.plugins import load, plugins
+from freeflyer.foundation.plugins import described, load, plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -200,7 +200,7 @@ def _one_sentence(name: str) -> Iterator[None]:
         if name in COMMANDS or isinstance(error, CosimError):
             raise
         raise CosimError(
-            f"command {name} of {plugins(GROUP)[name].value} failed: {type(error).__name__}: {error}"
+            f"command {name} of {plugins(GROUP)[name].value} failed: {described(error)}"
         ) from error
 
 

@@ -33,6 +33,7 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from freeflyer.foundation.bounded_file import size
+from freeflyer.foundation.errors import one_line
 
 MOST_ENTRIES = 50_000
 LARGEST = 8 << 30
@@ -97,9 +98,7 @@ def opened(path: Path) -> Iterator[Archive]:
                 "it is not a usable zip archive (an entry lies outside the archive)"
             ) from error
         except _DAMAGE as error:
-            raise ArchiveError(
-                f"it is not a usable zip archive ({' '.join(str(error).split()) or type(error).__name__})"
-            ) from error
+            raise ArchiveError(f"it is not a usable zip archive ({one_line(error)})") from error
 
 
 _DAMAGE = (

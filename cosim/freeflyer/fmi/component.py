@@ -6,7 +6,6 @@ FMUs, Python components and devices implement this protocol.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -14,62 +13,10 @@ from numpy.typing import NDArray
 
 from freeflyer.foundation import units
 from freeflyer.foundation.errors import ComponentError, StepFailed
+from freeflyer.foundation.port import Port as Port
+from freeflyer.foundation.port import input_writer, output_reader
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Port:
-    """A variable of a component.
-
-    `units`: one item per element of the variable. The item is None if no unit is declared.
-    `settable`: True for parameters, and for variables whose start value can be set, such as states.
-    `choices`: names of the items of an enumeration.
-    `real`: True for real variables. Only real variables can be connected and recorded.
-    `direct`: for an output, the names of the inputs on which it depends at the same instant.
-    `sampled`: True if an output is computed for the start of a step, even if `direct` is empty.
-
-    An instant is a point in time at which components may start a step.
-    """
-
-    name: str
-    size: int
-    causality: str
-    units: tuple[str | None, ...]
-    start: tuple[float, ...] | None = None
-    settable: bool = False
-    choices: tuple[str, ...] = ()
-    boolean: bool = False
-    real: bool = True
-    direct: frozenset[str] = field(default_factory=frozenset)
-    sampled: bool = False
-
-    def __post_init__(self) -> None:
-        causalities = (
-            "parameter",
-            "input",
-            "output",
-            "local",
-            "independent",
-            "calculatedParameter",
-            "structuralParameter",
-        )
-        if self.causality not in causalities:
-            raise ComponentError(
-                f"port {self.name}: causality is {self.causality!r}; one of {', '.join(causalities)} is expected"
-            )
-        if len(self.units) != self.size or (
-            self.start is not None and len(self.start) != self.size
-        ):
-            starts = "no" if self.start is None else len(self.start)
-            raise ComponentError(
-                f"port {self.name}: size is {self.size}, but it has {len(self.units)} units and {starts} start values"
-            )
-
-    @property
-    def prompt(self) -> bool:
-        """Whether a step computes the output for the start of the step, and not for its end."""
-        return bool(self.direct) or self.sampled
 
 
 class Component(Protocol):
@@ -193,30 +140,10 @@ class PythonComponent:
         self.initialise(self._start)
 
     def bind_inputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        parts = self._parts(names, buffer)
-
-        def write() -> None:
-            for own, part in parts:
-                own[:] = part
-
-        return write
+        return input_writer([self.values[name] for name in names], buffer)
 
     def bind_outputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        parts = self._parts(names, buffer)
-
-        def read() -> None:
-            for own, part in parts:
-                part[:] = own
-
-        return read
-
-    def _parts(self, names: Sequence[str], buffer: Array) -> list[tuple[Array, Array]]:
-        parts, first = [], 0
-        for name in names:
-            own = self.values[name]
-            parts.append((own, buffer[first : first + own.size]))
-            first += own.size
-        return parts
+        return output_reader([self.values[name] for name in names], buffer)
 
     def step(self, time: float, size: float) -> None:
         self.advance(time, size)

@@ -27,14 +27,13 @@ from numpy.typing import NDArray
 from freeflyer.fmi import unpacked
 from freeflyer.fmi.component import Array, Port
 from freeflyer.fmi.fmu_description import (
-    OWN_TOOL,
     REAL,
     describe_fmu,
     ports_in,
-    sentence,
     terminals_of,
 )
-from freeflyer.foundation.errors import ComponentError, StepFailed
+from freeflyer.foundation.errors import ComponentError, StepFailed, one_line
+from freeflyer.foundation.own_fmus import OWN_TOOL, REQUIREMENT
 
 TERMINATE_REQUESTED = "the FMU requests the end of the simulation"
 DISCARD = 2
@@ -45,11 +44,6 @@ CALLS = {
     3: ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
 }
 """For FMI versions 2 and 3: the FMI functions that write inputs, make a step and read outputs."""
-REQUIREMENT = "logRequirement"
-"""Log category. Our FMUs use it only if the equations have left their range of validity.
-
-See `StepFailed.left_validity`.
-"""
 
 
 # An FMI 2.0 log message is a format string with a variable number of arguments. FMPy contains a
@@ -253,9 +247,9 @@ class FmuComponent:
     def _reason(self, error: Exception) -> str:
         """Return the stored log messages of the FMU. If there are none, return FMPy's message."""
         self._fatal |= getattr(error, "status", None) == FATAL
-        messages = "; ".join(" ".join(message.split()) for message in self._messages)
+        messages = "; ".join(map(one_line, self._messages))
         self._messages.clear()
-        return messages or sentence(error)
+        return messages or one_line(error, 300)
 
     # Life cycle
 

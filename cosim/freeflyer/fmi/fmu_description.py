@@ -22,19 +22,14 @@ from fmpy.model_description import ModelDescription, ModelVariable, read_model_d
 from freeflyer.fmi import archive
 from freeflyer.fmi.archive import Archive, ArchiveError
 from freeflyer.fmi.component import Port
-from freeflyer.foundation.errors import ComponentError
+from freeflyer.foundation.errors import ComponentError, one_line
+from freeflyer.foundation.own_fmus import UNITS_ANNOTATION
 
 DESCRIPTION = "modelDescription.xml"
 MOST_NUMBERS = 1 << 22
 """Largest allowed number of elements in an FMU. A scalar variable counts as one element."""
 ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
 REAL = ("Real", "Float64")
-UNITS_ANNOTATION = "org.freeflyer-cosim.units"
-OWN_TOOL = "freeflyer-cosim"
-"""Value of the attribute generationTool in our FMUs.
-
-Our FMUs keep no state outside their instances. Therefore some precautions apply only to other FMUs.
-"""
 Read = TypeVar("Read")
 
 
@@ -112,7 +107,7 @@ def describe_fmu(path: Path) -> ModelDescription:
         raise
     except Exception as error:  # FMPy raises plain Exception for an invalid description
         raise ComponentError(
-            f"FMU {path} has an invalid {DESCRIPTION}: {sentence(error)}"
+            f"FMU {path} has an invalid {DESCRIPTION}: {one_line(error, 300)}"
         ) from error
 
 
@@ -177,7 +172,7 @@ def ports_in(path: Path) -> tuple[dict[str, Port], dict[str, list[ModelVariable]
         return ports_of(describe_fmu(path), annotated_units(path))
     except (ValueError, OverflowError) as error:
         raise ComponentError(
-            f"FMU {path} has an invalid {DESCRIPTION}: {sentence(error)}"
+            f"FMU {path} has an invalid {DESCRIPTION}: {one_line(error, 300)}"
         ) from error
 
 
@@ -259,8 +254,3 @@ def _start(variable: ModelVariable) -> list[float]:
         return []
     items = str(variable.start).split()
     return [float({"true": 1, "false": 0}.get(item.lower(), item)) for item in items]
-
-
-def sentence(error: Exception) -> str:
-    """Return the message of an exception on one line of at most 300 characters."""
-    return " ".join(str(error).split())[:300]

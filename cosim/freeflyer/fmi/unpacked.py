@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from freeflyer.fmi.fmu_description import OWN_TOOL, describe_fmu, opened, same_file
+from freeflyer.fmi.fmu_description import describe_fmu, opened, same_file
+from freeflyer.foundation.own_fmus import OWN_TOOL
 
 Version = tuple[Path, tuple[int, ...]]
 """The path of an FMU file, and the result of `same_file` for this file."""

@@ -14,18 +14,16 @@ def content(path: Path, largest: int) -> bytes:
     Raises OSError if the file cannot be opened, is not a regular file, or has more than `largest`
     bytes. The attribute `strerror` of the exception contains the reason.
     """
+    # Without O_NONBLOCK, `open` would wait if the path is a FIFO without a writer. Without
+    # O_NOCTTY, a terminal could become the controlling terminal of this process.
+    more = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
     try:
-        # Without O_NONBLOCK, `open` would wait if the path is a FIFO without a writer. Without
-        # O_NOCTTY, a terminal could become the controlling terminal of this process.
-        descriptor = os.open(
-            path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
-        )
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | more)) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise OSError(errno.EINVAL, "it is not a regular file")
+            data = file.read(largest + 1)
     except ValueError as error:  # the name contains a NUL character
         raise OSError(errno.EINVAL, "no file can have this name") from error
-    with open(descriptor, "rb") as file:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise OSError(errno.EINVAL, "it is not a regular file")
-        data = file.read(largest + 1)
     if len(data) > largest:
         raise OSError(errno.EFBIG, f"it has more than {size(largest)}")
     return data

@@ -46,14 +46,26 @@ class OutputError(CosimError):
 class StepFailed(Exception):
     """A component failed in a step. The run stops and keeps the results up to this step.
 
+    `reason` is the message without the name of the component.
+
     `left_validity` is True if the equations left their range of validity. Examples are a singular
     Jacobian and a state that is not finite. Such a run counts as diverged. If `left_validity` is
     False, the run counts as failed.
     """
 
     def __init__(self, component: str, message: str, *, left_validity: bool = False) -> None:
-        super().__init__(f"{component}: {' '.join(message.split())}")
+        self.reason = one_line(message)
+        super().__init__(f"{component}: {self.reason}")
         self.left_validity = left_validity
+
+
+def one_line(error: BaseException | str, longest: int | None = None) -> str:
+    """Return a message on one line of at most `longest` characters.
+
+    The message of an exception without a message is the name of its type.
+    """
+    text = " ".join(str(error).split())[:longest]
+    return text or ("" if isinstance(error, str) else type(error).__name__)
 
 
 def report_error(sentence: str, code: int) -> int:

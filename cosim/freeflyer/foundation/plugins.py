@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from freeflyer.foundation.errors import CosimError
+from freeflyer.foundation.errors import CosimError, one_line
 
 RENAMED = {"cosim": "freeflyer", "fmu_src": "freeflyer_fmus", "adapters": "freeflyer_adapters"}
 """Import names of the packages: the name in version 0.1.0 -> the name since version 0.2.0."""
@@ -36,9 +36,13 @@ def load(point: EntryPoint) -> Any:
         raise
     except (Exception, SystemExit) as error:
         raise CosimError(
-            f"entry point {point.name!r} ({point.group}) cannot be loaded from {point.value}: {type(error).__name__}: {error}"
-            f"{renamed(error)}"
+            f"entry point {point.name!r} ({point.group}) cannot be loaded from {point.value}: {described(error)}"
         ) from error
+
+
+def described(error: BaseException) -> str:
+    """Return the type and the message of an exception of third-party code, on one line."""
+    return one_line(f"{type(error).__name__}: {error}") + renamed(error)
 
 
 def renamed(error: BaseException) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Iterator
 
 
 def did_you_mean(name: str, candidates: Iterable[str]) -> str:
@@ -18,3 +18,15 @@ def did_you_mean(name: str, candidates: Iterable[str]) -> str:
     if close:
         return f"; did you mean {close[0]!r}?"
     return f"; known are {', '.join(known)}" if 3 < len(known) <= 12 else ""
+
+
+def unknown_keys(
+    given: Iterable[str], known: Collection[str], also: Iterable[str] = ()
+) -> Iterator[tuple[str, str]]:
+    """Yield each key in `given` that is not in `known`, with the suggestion for it.
+
+    The keys in `also` are suggested, too. The caller raises an exception for the first key.
+    """
+    for key in given:
+        if key not in known:
+            yield key, did_you_mean(key, [*known, *also])

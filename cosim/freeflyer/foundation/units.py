@@ -8,6 +8,9 @@ from functools import lru_cache
 from typing import Any
 
 DIMENSIONLESS = "1"
+WRENCH = ("N",) * 3 + ("N.m",) * 3
+TWIST = ("m/s",) * 3 + ("rad/s",) * 3
+ACCELERATION = ("m/s2",) * 3 + ("rad/s2",) * 3
 LONGEST = 80
 """Largest allowed number of characters of a unit.
 

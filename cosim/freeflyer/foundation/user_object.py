@@ -5,10 +5,11 @@ from __future__ import annotations
 import importlib
 import importlib.util
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from freeflyer.foundation.errors import CosimError
-from freeflyer.foundation.plugins import renamed
+from freeflyer.foundation.plugins import described
 
 
 def load(text: str, folder: Path) -> Any:
@@ -19,19 +20,20 @@ def load(text: str, folder: Path) -> Any:
     """
     where, _, attribute = text.rpartition(":")
     try:
-        if where.endswith(".py"):
-            path = folder / where
-            spec = importlib.util.spec_from_file_location(path.stem, path)
-            if spec is None or spec.loader is None or not path.is_file():
-                raise CosimError(f"{path} does not exist")
-            module = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(module)
-        else:
-            module = importlib.import_module(where)
+        is_file = where.endswith(".py")
+        module = loaded(folder / where) if is_file else importlib.import_module(where)
         return getattr(module, attribute)
     except CosimError:
         raise
     except (Exception, SystemExit) as error:  # user code can raise anything
-        raise CosimError(
-            f"{text} cannot be used: {type(error).__name__}: {error}{renamed(error)}"
-        ) from error
+        raise CosimError(f"{text} cannot be used: {described(error)}") from error
+
+
+def loaded(path: Path) -> ModuleType:
+    """Execute a Python file as a module. Raises CosimError if the file does not exist."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise CosimError(f"{path} does not exist")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

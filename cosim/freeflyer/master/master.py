@@ -28,7 +28,7 @@ from typing import Protocol
 
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.clock import seconds
-from freeflyer.foundation.errors import ComponentError, CosimError, StepFailed
+from freeflyer.foundation.errors import ComponentError, CosimError, StepFailed, one_line
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.plugins import renamed
 from freeflyer.master import divergence as watched
@@ -282,26 +282,19 @@ class Master:
         except StepFailed:
             raise
         except Exception as error:  # third-party code may raise any type; keep the record
-            raise failure(name, error) from error
+            raise StepFailed(name, message_of(error)) from error
         outcome.steps[name] += 1
-
-
-def failure(name: str, error: Exception) -> StepFailed:
-    """Convert an exception that the component `name` has raised to StepFailed."""
-    return StepFailed(
-        name, message_of(error), left_validity=bool(getattr(error, "left_validity", False))
-    )
 
 
 def message_of(error: Exception) -> str:
     """Return the message of an exception that a component has raised.
 
-    An exception with the attribute `left_validity` has a message for the user. For any other
-    exception, the result also contains the type of the exception and its place in the source code.
+    StepFailed has a message for the user. For any other exception, the result also contains the
+    type of the exception and its place in the source code.
     """
-    if hasattr(error, "left_validity"):
-        return " ".join(str(error).split())
+    if isinstance(error, StepFailed):
+        return str(error)
     place = traceback.extract_tb(error.__traceback__)[-1]
-    return " ".join(
-        f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno}){renamed(error)}".split()
+    return one_line(
+        f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno}){renamed(error)}"
     )

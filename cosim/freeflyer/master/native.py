@@ -21,7 +21,7 @@ from freeflyer.fmi.fmu import CALLS, TERMINATE_REQUESTED, FmuComponent
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import ComponentError, CosimError, StepFailed
 from freeflyer.foundation.interrupts import interrupts
-from freeflyer.master.master import Master, Outcome, Progress, failure
+from freeflyer.master.master import Master, Outcome, Progress, message_of
 from freeflyer.master.slaves import Places, Slave
 
 DIRECTORY = Path(__file__).parent / "core"
@@ -160,7 +160,7 @@ class Run:
                 return error
             if core.operation != STEP or not isinstance(error, Exception):
                 raise error
-            return failure(self._order[core.index].component.name, error)
+            return StepFailed(self._order[core.index].component.name, message_of(error))
         component = self._order[core.index].component
         assert isinstance(component, FmuComponent)
         if core.status == self._library.TERMINATE_REQUESTED:

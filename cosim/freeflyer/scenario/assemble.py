@@ -16,10 +16,10 @@ from typing import Any
 from freeflyer.fmi.component import Component
 from freeflyer.fmi.fmu import FmuComponent
 from freeflyer.foundation import user_object
-from freeflyer.foundation.errors import ComponentError, CosimError, ScenarioError
-from freeflyer.foundation.plugins import load, plugins, renamed
+from freeflyer.foundation.errors import ComponentError, CosimError, ScenarioError, one_line
+from freeflyer.foundation.plugins import described, load, plugins
 from freeflyer.foundation.signal_name import split
-from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
 from freeflyer.master import graph, schedule
 from freeflyer.master.master import Master
 from freeflyer.scenario import parameters
@@ -60,11 +60,8 @@ def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
 
 
 def _check_options(name: str, options: Mapping[str, Any], known: tuple[str, ...]) -> None:
-    for key in options:
-        if key not in known:
-            raise ComponentError(
-                f"component {name}: unknown key {key!r}{did_you_mean(key, [*known, 'kind', 'step_s', 'samples', 'parameters'])}"
-            )
+    for key, hint in unknown_keys(options, known, ("kind", "step_s", "samples", "parameters")):
+        raise ComponentError(f"component {name}: unknown key {key!r}{hint}")
 
 
 def fmu_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
@@ -101,7 +98,7 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
         raise
     except (Exception, SystemExit) as error:  # user code can raise anything
         raise ComponentError(
-            f"component {name}: {where}:{attribute} cannot be used: {type(error).__name__}: {error}{renamed(error)}"
+            f"component {name}: {where}:{attribute} cannot be used: {described(error)}"
         ) from error
     if not hasattr(made, "ports") or not hasattr(made, "step"):
         raise ComponentError(
@@ -129,7 +126,7 @@ def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
     except CosimError:
         raise
     except Exception as error:  # kinds of third-party packages can raise anything
-        text = " ".join(str(error).split())
+        text = one_line(error)
         raise ComponentError(
             text if text.startswith("component ") else f"component {spec.name}: {text}"
         ) from error

@@ -29,7 +29,7 @@ from freeflyer.foundation import toml_file
 from freeflyer.foundation.clock import nanoseconds, shown
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.signal_name import split, split_connection
-from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
 from freeflyer.foundation.table import Shown, Table
 from freeflyer.foundation.units import converted, factor
 from freeflyer.master.connection import Connection
@@ -529,9 +529,8 @@ class _Reader:
     # Values of single keys
 
     def check_keys(self, raw: Raw, keys: Sequence[str], where: str) -> None:
-        for key in raw:
-            if key not in keys:
-                raise self.fail(f"unknown key {key!r} in {where}{did_you_mean(key, keys)}")
+        for key, hint in unknown_keys(raw, keys):
+            raise self.fail(f"unknown key {key!r} in {where}{hint}")
 
     def table(self, raw: Raw, key: str) -> Raw:
         value = raw.get(key, {})

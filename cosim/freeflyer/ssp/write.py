@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import os
 import tomllib
-import zipfile
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version as installed
 from pathlib import Path
@@ -26,13 +25,12 @@ from freeflyer.fmi.component import Array, Port
 from freeflyer.fmi.fmu import FmuComponent
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import ComponentError, ScenarioError
-from freeflyer.foundation.output_file import write_whole
+from freeflyer.foundation.reproducible_zip import write_zip
 from freeflyer.foundation.signal_name import split
 from freeflyer.scenario.assemble import System, loaded
 from freeflyer.scenario.scenario import ComponentSpec, Scenario, to_toml
 from freeflyer.ssp.names import ANNOTATION, DESCRIPTION, FMU_TYPE, SETTINGS, STEP_ANNOTATION, tag
 
-EPOCH = (1980, 1, 1, 0, 0, 0)
 IMPLEMENTATIONS = {"fmu": "CoSimulation", "model_exchange": "ModelExchange"}
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
@@ -78,7 +76,7 @@ def write(scenario: Scenario, system: System, path: Path) -> None:
     files[DESCRIPTION] = _text(
         _description(scenario, system, specs, components, given, sources, version)
     )
-    write_whole(path, lambda partial: _pack(partial, files))
+    write_zip(path, files)
 
 
 def _checked(specs: Mapping[str, ComponentSpec], system: System) -> dict[str, FmuComponent]:
@@ -364,7 +362,7 @@ def _enumerations(root: Element, name: str, enumerations: Mapping[str, tuple[str
             _add(element, "ssc:Item", name=choice, value=str(value))
 
 
-# XML and zip
+# XML
 
 
 def _add(parent: Element, name: str, /, **attributes: str) -> Element:
@@ -383,12 +381,3 @@ def _text(root: Element) -> bytes:
     ElementTree.indent(root)
     text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return text
-
-
-def _pack(path: Path, files: Mapping[str, bytes]) -> None:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        for name in sorted(files):
-            entry = zipfile.ZipInfo(name, EPOCH)
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.external_attr = 0o644 << 16
-            archive.writestr(entry, files[name])

@@ -19,6 +19,9 @@ import casadi as ca
 import numpy as np
 
 from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.units import ACCELERATION as ACCELERATION
+from freeflyer.foundation.units import TWIST as TWIST
+from freeflyer.foundation.units import WRENCH as WRENCH
 from freeflyer_fmus.errors import BlockError
 from freeflyer_fmus.robot.robot import Array, constant
 from freeflyer_fmus.units import UNITS
@@ -26,10 +29,7 @@ from freeflyer_fmus.units import UNITS
 SX = ca.SX
 Units = tuple[str, ...]
 
-WRENCH: Units = ("N",) * 3 + ("N.m",) * 3
 POSE_ERROR: Units = ("m",) * 3 + ("rad",) * 3
-TWIST: Units = ("m/s",) * 3 + ("rad/s",) * 3
-ACCELERATION: Units = ("m/s2",) * 3 + ("rad/s2",) * 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,6 +63,13 @@ class Variable:
             if self.is_array
             else (self.name,)
         )
+
+    @property
+    def fmi_causality(self) -> str:
+        """Causality in FMI, which has no states."""
+        if self.causality == "state":
+            return "local" if self.local else "output"
+        return self.causality
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -311,6 +318,11 @@ class Block:
     def is_sampled(self) -> bool:
         return self.period is not None
 
+    @property
+    def differentiated(self) -> list[Variable]:
+        """The states that have derivatives: those of a continuous block."""
+        return [] if self.is_sampled else self.having("state")
+
     def having(self, *causalities: str) -> list[Variable]:
         """Return the variables with one of these causalities, in order of declaration."""
         return [
@@ -484,7 +496,7 @@ class Block:
                     self._next[variable.name] if self.is_sampled else self.symbols[variable.name]
                 )
             found |= zip(variable.element_names, ca.vertsplit(expression), strict=True)
-        for variable in [] if self.is_sampled else self.having("state"):
+        for variable in self.differentiated:
             names = [f"der({element})" for element in variable.element_names]
             found |= zip(names, ca.vertsplit(self._next[variable.name]), strict=True)
         return found

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 
-from freeflyer.foundation.plugins import renamed
+from freeflyer.foundation.plugins import described
+from freeflyer.foundation.user_object import loaded
 from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.errors import BlockError, FmuSourceError
 from freeflyer_fmus.robot.robot import Robot
@@ -19,16 +19,11 @@ def load_block(path: Path) -> Callable[[Robot], Block]:
     """
     if not path.is_file():
         raise BlockError(f"block file {path} does not exist")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
-        made: Callable[[Robot], Block] = module.block
+        made: Callable[[Robot], Block] = loaded(path).block
     except (Exception, SystemExit) as error:  # third-party code: any error is possible
         raise BlockError(
-            f"block file {path} does not define block(robot): {type(error).__name__}: {error}{renamed(error)}"
+            f"block file {path} does not define block(robot): {described(error)}"
         ) from error
 
     def make(robot: Robot) -> Block:
@@ -40,7 +35,7 @@ def load_block(path: Path) -> Callable[[Robot], Block]:
             raise
         except (Exception, SystemExit) as error:
             raise BlockError(
-                f"block file {path}: block(robot) failed: {type(error).__name__}: {' '.join(str(error).split())}{renamed(error)}"
+                f"block file {path}: block(robot) failed: {described(error)}"
             ) from error
         if not isinstance(block, Block):
             raise BlockError(

@@ -10,19 +10,18 @@ import contextlib
 import hashlib
 import os
 import tempfile
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
+from freeflyer.foundation.errors import OutputError
+from freeflyer.foundation.reproducible_zip import write_zip
 from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.errors import BuildError
 from freeflyer_fmus.export import description
 from freeflyer_fmus.export.amalgamation import amalgamated
 from freeflyer_fmus.export.c_code import print_block
 from freeflyer_fmus.export.compiler import FLAGS, SOURCES, Platform, compile_library, host_platform
-
-EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def content_token(block: Block) -> str:
@@ -123,33 +122,13 @@ def _write(
     grouped = description.terminals(block)
     if grouped:
         fmi3["terminalsAndIcons/terminalsAndIcons.xml"] = grouped
-    return {
-        2: write_archive(directory / "fmi2" / f"{name}.fmu", fmi2),
-        3: write_archive(directory / "fmi3" / f"{name}.fmu", fmi3),
-    }
-
-
-def write_archive(path: Path, files: Mapping[str, bytes]) -> Path:
-    """Write a zip file in which all entries have a fixed time and a fixed order.
-
-    Therefore equal content gives equal bytes. Raises BuildError if the file is not writable.
-    """
+    paths = {version: directory / f"fmi{version}" / f"{name}.fmu" for version in (2, 3)}
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(".partial")
-        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-            for name in sorted(files):
-                entry = zipfile.ZipInfo(name, EPOCH)
-                entry.compress_type = zipfile.ZIP_DEFLATED
-                entry.external_attr = 0o644 << 16
-                archive.writestr(entry, files[name])
-        os.replace(partial, path)
-    except OSError as error:
-        raise BuildError(f"{path} cannot be written: {error.strerror}") from error
-    finally:
-        with contextlib.suppress(OSError, UnboundLocalError):
-            partial.unlink(missing_ok=True)
-    return path
+        write_zip(paths[2], fmi2)
+        write_zip(paths[3], fmi3)
+    except OutputError as error:
+        raise BuildError(str(error)) from error
+    return paths
 
 
 @contextlib.contextmanager

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from xml.etree import ElementTree
 
+from freeflyer.foundation.own_fmus import OWN_TOOL, REQUIREMENT, UNITS_ANNOTATION
 from freeflyer_fmus.blocks.block import Block, Variable
 from freeflyer_fmus.export.layout import Layout, derivative_elements, derivative_name, layout
 from freeflyer_fmus.units import DISPLAY, UNITS, rate
 
-TOOL = "freeflyer-cosim"
-UNITS_ANNOTATION = "org.freeflyer-cosim.units"
-"""Type of the FMI 3.0 annotation that contains the units of an array, one unit per element."""
 TERMINAL_KINDS = "org.freeflyer-cosim"
+LOG_CATEGORIES = {
+    "logStatusError": "Rejected calls and values",
+    REQUIREMENT: "Violated requirements of the equations, for example a singular Jacobian",
+}
+TYPES = {"real": "Float64", "boolean": "Boolean", "enumeration": "Enumeration"}
+"""Names of the types in FMI 3.0. FMI 2.0 has the type Real instead of Float64."""
+
+Element = ElementTree.Element
+add = ElementTree.SubElement
 
 
-def text(root: ElementTree.Element) -> bytes:
+def text(root: Element) -> bytes:
     ElementTree.indent(root)
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root) + b"\n"
 
@@ -24,311 +31,261 @@ def number(value: float) -> str:
     return repr(float(value))
 
 
-def _units(root: ElementTree.Element, block: Block) -> None:
-    used = {unit for variable in block.variables.values() for unit in variable.units} | {"s"}
-    used |= {
-        unit for variable in _differentiated(block) for unit in map(rate, variable.units) if unit
-    }
-    definitions = ElementTree.SubElement(root, "UnitDefinitions")
-    for name in sorted(used):
-        unit = ElementTree.SubElement(definitions, "Unit", name=name)
-        ElementTree.SubElement(
-            unit, "BaseUnit", {base: str(power) for base, power in UNITS[name].items()}
-        )
-        if name in DISPLAY:
-            display, factor = DISPLAY[name]
-            ElementTree.SubElement(unit, "DisplayUnit", name=display, factor=number(factor))
-
-
-def _log_categories(root: ElementTree.Element) -> None:
-    categories = ElementTree.SubElement(root, "LogCategories")
-    ElementTree.SubElement(
-        categories,
-        "Category",
-        name="logStatusError",
-        description="Rejected calls and values",
-    )
-    requirement = "Violated requirements of the equations, for example a singular Jacobian"
-    ElementTree.SubElement(categories, "Category", name="logRequirement", description=requirement)
-
-
-def _experiment(root: ElementTree.Element, block: Block) -> None:
-    # FMPy doubles its output interval if the default experiment has more than 1000 steps. Therefore
-    # the default experiment has 100 steps.
-    step = block.default_step
-    ElementTree.SubElement(
-        root, "DefaultExperiment", startTime="0", stopTime=number(100 * step), stepSize=number(step)
-    )
-
-
-def _type_name(block: Block, variable: Variable) -> str:
-    return f"{block.name}.{variable.name}"
-
-
-def _differentiated(block: Block) -> list[Variable]:
-    return [] if block.is_sampled else block.having("state")
-
-
-def _enumerations(block: Block) -> list[Variable]:
-    return [variable for variable in block.variables.values() if variable.kind == "enumeration"]
-
-
-def _causality(variable: Variable) -> str:
-    if variable.causality == "state":
-        return "local" if variable.local else "output"
-    return variable.causality
-
-
-def _variability(block: Block, variable: Variable) -> str:
-    if variable.causality == "parameter":
-        return "tunable" if variable.tunable else "fixed"
-    if block.is_sampled and variable.causality in ("output", "state"):
-        return "discrete"
-    return "continuous"
-
-
 def fmi2(block: Block, token: str, sources: Sequence[str] = ()) -> bytes:
     """Return modelDescription.xml of FMI 2.0, in which every array element is a variable.
 
     `sources` are the names of the C files that the FMU contains.
     """
-    plan = layout(block)
-    root = ElementTree.Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=block.name,
-        guid=token,
-        description=block.description,
-        generationTool=TOOL,
-        variableNamingConvention="structured",
-        numberOfEventIndicators="0",
-    )
-    common = {
+    root = _root(block, "2.0", {"guid": token})
+    root.set("numberOfEventIndicators", "0")
+    capabilities = {
         "modelIdentifier": block.name,
         "canGetAndSetFMUstate": "true",
         "canSerializeFMUstate": "true",
         "canNotUseMemoryManagementFunctions": "true",
         "providesDirectionalDerivative": "true",
     }
-    # Interface types. A sampled block has no model exchange.
-    interfaces = []
+    # A sampled block has no model exchange.
     if not block.is_sampled:
-        interfaces.append(
-            ElementTree.SubElement(
-                root, "ModelExchange", common, completedIntegratorStepNotNeeded="true"
-            )
-        )
-    interfaces.append(
-        ElementTree.SubElement(
-            root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true"
-        )
-    )
-    for interface in interfaces if sources else []:
-        listed = ElementTree.SubElement(interface, "SourceFiles")
+        add(root, "ModelExchange", capabilities, completedIntegratorStepNotNeeded="true")
+    add(root, "CoSimulation", capabilities, canHandleVariableCommunicationStepSize="true")
+    for interface in list(root) if sources else []:
+        listed = add(interface, "SourceFiles")
         for name in sources:
-            ElementTree.SubElement(listed, "File", name=name)
-    # Units, enumerations, log categories and default experiment.
-    _units(root, block)
-    if _enumerations(block):
-        types = ElementTree.SubElement(root, "TypeDefinitions")
-        for variable in _enumerations(block):
-            items = ElementTree.SubElement(
-                ElementTree.SubElement(types, "SimpleType", name=_type_name(block, variable)),
-                "Enumeration",
-            )
-            for index, choice in enumerate(variable.choices):
-                ElementTree.SubElement(items, "Item", name=choice, value=str(index + 1))
-    _log_categories(root)
-    _experiment(root, block)
+            add(listed, "File", name=name)
+    _definitions(
+        root, block, lambda types, name: add(add(types, "SimpleType", name=name), "Enumeration")
+    )
     # FMI 2.0 does not define terminals. Therefore the terminals are in a vendor annotation.
     if block.terminals:
-        annotations = ElementTree.SubElement(root, "VendorAnnotations")
-        _terminals(ElementTree.SubElement(annotations, "Tool", name=TERMINAL_KINDS), block)
-    variables = ElementTree.SubElement(root, "ModelVariables")
-    positions = _fmi2_variables(variables, block, plan)
-    _fmi2_structure(ElementTree.SubElement(root, "ModelStructure"), block, positions)
+        _terminals(add(add(root, "VendorAnnotations"), "Tool", name=TERMINAL_KINDS), block)
+    index = _fmi2_variables(add(root, "ModelVariables"), block, layout(block))
+    _fmi2_structure(add(root, "ModelStructure"), block, index)
     return text(root)
-
-
-def build_description(block: Block) -> bytes:
-    """Return sources/buildDescription.xml of FMI 3.0: one C99 file and the mathematical library."""
-    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=block.name)
-    files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
-    ElementTree.SubElement(files, "SourceFile", name=f"{block.name}.c")
-    ElementTree.SubElement(configuration, "Library", name="m")
-    return text(root)
-
-
-def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> dict[str, int]:
-    """Add all scalar variables. Return the index (from 1) of each variable by name."""
-    index: dict[str, int] = {}
-
-    def scalar(name: str, reference: int, **attributes: str) -> ElementTree.Element:
-        index[name] = len(index) + 1
-        return ElementTree.SubElement(
-            parent, "ScalarVariable", {"name": name, "valueReference": str(reference), **attributes}
-        )
-
-    element = scalar(
-        "time", 0, causality="independent", variability="continuous", description="Simulation time"
-    )
-    ElementTree.SubElement(element, "Real", unit="s")
-    # Declared variables, with the start values and units of their elements.
-    for variable in block.variables.values():
-        for i, name in enumerate(variable.element_names):
-            attributes = {
-                "causality": _causality(variable),
-                "variability": _variability(block, variable),
-                "description": variable.description,
-            }
-            typed: dict[str, str] = {}
-            started = block.has_start(variable)
-            if variable.causality != "input":
-                attributes["initial"] = "exact" if started else "calculated"
-            if started and variable.start is not None:
-                value = variable.start[i]
-                typed["start"] = number(value) if variable.kind == "real" else str(int(value))
-            if variable.kind == "boolean" and "start" in typed:
-                typed["start"] = (
-                    "true" if variable.start is not None and variable.start[i] else "false"
-                )
-            if variable.kind == "enumeration":
-                typed["declaredType"] = _type_name(block, variable)
-            if variable.kind == "real":
-                typed["unit"] = variable.units[i]
-            if variable.nominal != 1.0:
-                typed["nominal"] = number(variable.nominal)
-            element = scalar(name, plan.reference[variable.name] + i, **attributes)
-            ElementTree.SubElement(
-                element,
-                {"real": "Real", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind],
-                typed,
-            )
-    # Derivatives of the continuous states.
-    for variable in _differentiated(block):
-        for i, (name, state) in enumerate(
-            zip(derivative_elements(variable), variable.element_names, strict=True)
-        ):
-            element = scalar(
-                name,
-                plan.reference[derivative_name(variable)] + i,
-                causality="local",
-                variability="continuous",
-                initial="calculated",
-                description=f"Derivative of {state}",
-            )
-            unit = rate(variable.units[i])
-            ElementTree.SubElement(
-                element, "Real", {"unit": unit} if unit else {}, derivative=str(index[state])
-            )
-    return index
-
-
-def _fmi2_structure(parent: ElementTree.Element, block: Block, index: dict[str, int]) -> None:
-    def unknowns(tag: str, names: Iterable[str], dependencies: dict[str, list[str]]) -> None:
-        ordered = sorted(names, key=index.__getitem__)
-        listed = ElementTree.SubElement(parent, tag) if ordered else None
-        for name in ordered:
-            depends = " ".join(str(index[known]) for known in dependencies[name])
-            assert listed is not None
-            ElementTree.SubElement(listed, "Unknown", index=str(index[name]), dependencies=depends)
-
-    outputs = [v for v in block.having("output", "state") if not v.local]
-    derivatives = [
-        name for variable in _differentiated(block) for name in derivative_elements(variable)
-    ]
-    computed = [
-        name
-        for variable in outputs
-        if not block.has_start(variable)
-        for name in variable.element_names
-    ]
-    unknowns(
-        "Outputs",
-        [name for variable in outputs for name in variable.element_names],
-        block.dependencies,
-    )
-    unknowns("Derivatives", derivatives, block.dependencies)
-    unknowns("InitialUnknowns", computed + derivatives, block.initial_dependencies)
 
 
 def fmi3(block: Block, token: str) -> bytes:
     """Return modelDescription.xml of FMI 3.0, in which an array is one variable."""
-    plan = layout(block)
-    root = ElementTree.Element(
-        "fmiModelDescription",
-        fmiVersion="3.0",
-        modelName=block.name,
-        instantiationToken=token,
-        description=block.description,
-        generationTool=TOOL,
-        variableNamingConvention="structured",
-    )
-    # Interface types. A sampled block has no model exchange.
-    common = {
+    root = _root(block, "3.0", {"instantiationToken": token})
+    capabilities = {
         "modelIdentifier": block.name,
         "canGetAndSetFMUState": "true",
         "canSerializeFMUState": "true",
         "providesDirectionalDerivatives": "true",
         "providesAdjointDerivatives": "true",
     }
-    # A continuous block divides a communication step into inner steps (integration steps). Between
-    # two inner steps, it supports intermediate update and early return.
-    inner = (
-        {}
-        if block.is_sampled
-        else {"providesIntermediateUpdate": "true", "canReturnEarlyAfterIntermediateUpdate": "true"}
-    )
+    # A sampled block has no model exchange.
     if not block.is_sampled:
-        ElementTree.SubElement(root, "ModelExchange", common, needsCompletedIntegratorStep="false")
-    ElementTree.SubElement(
-        root, "CoSimulation", common | inner, canHandleVariableCommunicationStepSize="true"
-    )
-    # Units, enumerations, log categories and default experiment.
-    _units(root, block)
-    if _enumerations(block):
-        types = ElementTree.SubElement(root, "TypeDefinitions")
-        for variable in _enumerations(block):
-            items = ElementTree.SubElement(
-                types, "EnumerationType", name=_type_name(block, variable)
-            )
-            for index, choice in enumerate(variable.choices):
-                ElementTree.SubElement(items, "Item", name=choice, value=str(index + 1))
-    _log_categories(root)
-    _experiment(root, block)
-    _fmi3_variables(ElementTree.SubElement(root, "ModelVariables"), block, plan)
-    _fmi3_structure(ElementTree.SubElement(root, "ModelStructure"), block, plan)
+        add(root, "ModelExchange", capabilities, needsCompletedIntegratorStep="false")
+        # A continuous block divides a communication step into inner steps (integration steps).
+        # Between two inner steps, it supports intermediate update and early return.
+        capabilities["providesIntermediateUpdate"] = "true"
+        capabilities["canReturnEarlyAfterIntermediateUpdate"] = "true"
+    add(root, "CoSimulation", capabilities, canHandleVariableCommunicationStepSize="true")
+    _definitions(root, block, lambda types, name: add(types, "EnumerationType", name=name))
+    reference = layout(block).reference
+    _fmi3_variables(add(root, "ModelVariables"), block, reference)
+    _fmi3_structure(add(root, "ModelStructure"), block, reference)
     return text(root)
 
 
-def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> None:
-    ElementTree.SubElement(
-        parent, "Float64", name="time", valueReference="0", causality="independent", variability="continuous", unit="s",
-        description="Simulation time",
-    )  # fmt: skip
+def build_description(block: Block) -> bytes:
+    """Return sources/buildDescription.xml of FMI 3.0: one C99 file and the mathematical library."""
+    root = Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = add(root, "BuildConfiguration", modelIdentifier=block.name)
+    files = add(configuration, "SourceFileSet", language="C99")
+    add(files, "SourceFile", name=f"{block.name}.c")
+    add(configuration, "Library", name="m")
+    return text(root)
+
+
+def terminals(block: Block) -> bytes | None:
+    """Return terminalsAndIcons.xml of FMI 3.0, or None for a block without terminals."""
+    if not block.terminals:
+        return None
+    root = Element("fmiTerminalsAndIcons", fmiVersion="3.0")
+    _terminals(root, block)
+    return text(root)
+
+
+def _terminals(parent: Element, block: Block) -> None:
+    listed = add(parent, "Terminals")
+    for name, members in block.terminals.items():
+        kind = f"{TERMINAL_KINDS}.{name}"
+        terminal = add(listed, "Terminal", name=name, matchingRule="bus", terminalKind=kind)
+        for member, variable in members.items():
+            names = {"variableName": variable, "memberName": member}
+            add(terminal, "TerminalMemberVariable", names, variableKind="signal")
+
+
+# Elements of both FMI versions
+
+
+def _root(block: Block, version: str, token: dict[str, str]) -> Element:
+    head = {"fmiVersion": version, "modelName": block.name, **token}
+    return Element(
+        "fmiModelDescription",
+        head,
+        description=block.description,
+        generationTool=OWN_TOOL,
+        variableNamingConvention="structured",
+    )
+
+
+def _definitions(root: Element, block: Block, add_type: Callable[[Element, str], Element]) -> None:
+    """Add the units, enumerations, log categories and the default experiment.
+
+    `add_type` adds an enumeration with the given name, and returns the parent of its items.
+    """
+    used = {unit for variable in block.variables.values() for unit in variable.units} | {"s"}
+    used |= {
+        unit for variable in block.differentiated for unit in map(rate, variable.units) if unit
+    }
+    definitions = add(root, "UnitDefinitions")
+    for name in sorted(used):
+        unit = add(definitions, "Unit", name=name)
+        add(unit, "BaseUnit", {base: str(power) for base, power in UNITS[name].items()})
+        if name in DISPLAY:
+            display, factor = DISPLAY[name]
+            add(unit, "DisplayUnit", name=display, factor=number(factor))
+    enumerations = [v for v in block.variables.values() if v.kind == "enumeration"]
+    types = add(root, "TypeDefinitions") if enumerations else root
+    for variable in enumerations:
+        items = add_type(types, _type_name(block, variable))
+        for index, choice in enumerate(variable.choices):
+            add(items, "Item", name=choice, value=str(index + 1))
+    categories = add(root, "LogCategories")
+    for name, description in LOG_CATEGORIES.items():
+        add(categories, "Category", name=name, description=description)
+    # FMPy doubles its output interval if the default experiment has more than 1000 steps. Therefore
+    # the default experiment has 100 steps.
+    times = {"startTime": "0", "stopTime": number(100 * block.default_step)}
+    add(root, "DefaultExperiment", times, stepSize=number(block.default_step))
+
+
+def _type_name(block: Block, variable: Variable) -> str:
+    return f"{block.name}.{variable.name}"
+
+
+def _common(block: Block, variable: Variable) -> dict[str, str]:
+    """Return the attributes of a variable that have no unit and no value."""
+    if variable.causality == "parameter":
+        variability = "tunable" if variable.tunable else "fixed"
+    elif block.is_sampled and variable.causality != "input":
+        variability = "discrete"
+    else:
+        variability = "continuous"
+    initial = {"initial": "exact" if block.has_start(variable) else "calculated"}
+    return {
+        "causality": variable.fmi_causality,
+        "variability": variability,
+        "description": variable.description,
+        **(initial if variable.causality != "input" else {}),
+    }
+
+
+def _of_derivative(state: str) -> dict[str, str]:
+    """Return the attributes of the derivative of a state that have no unit and no value."""
+    return {
+        "causality": "local",
+        "variability": "continuous",
+        "initial": "calculated",
+        "description": f"Derivative of {state}",
+    }
+
+
+def _typed(block: Block, variable: Variable, elements: slice) -> dict[str, str]:
+    """Return the start values of some elements, and the declared type."""
+    found = {}
+    if block.has_start(variable) and variable.start is not None:
+        values = variable.start[elements]
+        if variable.kind == "boolean":
+            found["start"] = "true" if values[0] else "false"
+        elif variable.kind == "enumeration":
+            found["start"] = str(int(values[0]))
+        else:
+            found["start"] = " ".join(map(number, values))
+    if variable.kind == "enumeration":
+        found["declaredType"] = _type_name(block, variable)
+    return found
+
+
+def _unknowns(block: Block) -> list[tuple[str, list[str], dict[str, list[str]]]]:
+    """Return the lists of ModelStructure: name, variables, and dependencies of their elements."""
+    outputs = [variable for variable in block.having("output", "state") if not variable.local]
+    computed = [variable.name for variable in outputs if not block.has_start(variable)]
+    derivatives = [derivative_name(variable) for variable in block.differentiated]
+    return [
+        ("Output", [variable.name for variable in outputs], block.dependencies),
+        ("Derivative", derivatives, block.dependencies),
+        ("InitialUnknown", computed + derivatives, block.initial_dependencies),
+    ]
+
+
+def _elements(block: Block) -> dict[str, tuple[str, ...]]:
+    """Return the names of the elements of each variable and of each derivative."""
+    found = {variable.name: variable.element_names for variable in block.variables.values()}
+    return found | {derivative_name(v): derivative_elements(v) for v in block.differentiated}
+
+
+# FMI 2.0
+
+
+def _fmi2_variables(parent: Element, block: Block, plan: Layout) -> dict[str, int]:
+    """Add all scalar variables. Return the index (from 1) of each variable by name."""
+    index: dict[str, int] = {}
+
+    def scalar(
+        name: str, reference: int, attributes: dict[str, str], kind: str, typed: dict[str, str]
+    ) -> None:
+        index[name] = len(index) + 1
+        head = {"name": name, "valueReference": str(reference)}
+        add(add(parent, "ScalarVariable", head | attributes), kind, typed)
+
+    time = {"causality": "independent", "variability": "continuous"}
+    scalar("time", 0, time | {"description": "Simulation time"}, "Real", {"unit": "s"})
+    # Declared variables, with the start values and units of their elements.
+    for variable in block.variables.values():
+        kind = TYPES[variable.kind].replace("Float64", "Real")
+        for i, name in enumerate(variable.element_names):
+            typed = _typed(block, variable, slice(i, i + 1))
+            if variable.kind == "real":
+                typed["unit"] = variable.units[i]
+            if variable.nominal != 1.0:
+                typed["nominal"] = number(variable.nominal)
+            first = plan.reference[variable.name]
+            scalar(name, first + i, _common(block, variable), kind, typed)
+    # Derivatives of the continuous states.
+    for variable in block.differentiated:
+        for i, state in enumerate(variable.element_names):
+            unit = rate(variable.units[i])
+            typed = ({"unit": unit} if unit else {}) | {"derivative": str(index[state])}
+            first = plan.reference[derivative_name(variable)]
+            scalar(f"der({state})", first + i, _of_derivative(state), "Real", typed)
+    return index
+
+
+def _fmi2_structure(parent: Element, block: Block, index: dict[str, int]) -> None:
+    elements = _elements(block)
+    for tag, variables, dependencies in _unknowns(block):
+        names = [name for variable in variables for name in elements[variable]]
+        listed = add(parent, f"{tag}s") if names else parent
+        for name in sorted(names, key=index.__getitem__):
+            depends = " ".join(str(index[known]) for known in dependencies[name])
+            add(listed, "Unknown", index=str(index[name]), dependencies=depends)
+
+
+# FMI 3.0
+
+
+def _fmi3_variables(parent: Element, block: Block, reference: dict[str, int]) -> None:
+    time = {"name": "time", "valueReference": "0", "causality": "independent"}
+    rest = {"variability": "continuous", "unit": "s", "description": "Simulation time"}
+    add(parent, "Float64", time | rest)
     # Declared variables.
     for variable in block.variables.values():
-        attributes = {
-            "name": variable.name,
-            "valueReference": str(plan.reference[variable.name]),
-            "causality": _causality(variable),
-            "variability": _variability(block, variable),
-            "description": variable.description,
-        }
-        started = block.has_start(variable)
-        if variable.causality != "input":
-            attributes["initial"] = "exact" if started else "calculated"
-        if started and variable.start is not None:
-            values = variable.start
-            if variable.kind == "boolean":
-                attributes["start"] = "true" if values[0] else "false"
-            elif variable.kind == "enumeration":
-                attributes["start"] = str(int(values[0]))
-            else:
-                attributes["start"] = " ".join(number(value) for value in values)
-        if variable.kind == "enumeration":
-            attributes["declaredType"] = _type_name(block, variable)
+        attributes = {"name": variable.name, "valueReference": str(reference[variable.name])}
+        attributes |= _common(block, variable) | _typed(block, variable, slice(None))
         if variable.nominal != 1.0:
             attributes["nominal"] = number(variable.nominal)
         if variable.causality != "parameter" and not block.is_sampled:
@@ -337,96 +294,38 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
         # twist), the units are in an annotation.
         if variable.kind == "real" and len(set(variable.units)) == 1:
             attributes["unit"] = variable.units[0]
-        tag = {"real": "Float64", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind]
-        element = ElementTree.SubElement(parent, tag, attributes)
+        element = add(parent, TYPES[variable.kind], attributes)
         if len(set(variable.units)) > 1:
-            annotations = ElementTree.SubElement(element, "Annotations")
-            ElementTree.SubElement(
-                annotations, "Annotation", type=UNITS_ANNOTATION
-            ).text = " ".join(variable.units)
+            annotation = add(add(element, "Annotations"), "Annotation", type=UNITS_ANNOTATION)
+            annotation.text = " ".join(variable.units)
         if variable.is_array:
-            ElementTree.SubElement(element, "Dimension", start=str(variable.size))
+            add(element, "Dimension", start=str(variable.size))
     # Derivatives of the continuous states.
-    for variable in _differentiated(block):
+    for variable in block.differentiated:
+        name = derivative_name(variable)
         unit = rate(variable.units[0]) if len(set(variable.units)) == 1 else None
-        element = ElementTree.SubElement(
-            parent,
-            "Float64",
-            {"unit": unit} if unit else {},
-            name=derivative_name(variable),
-            valueReference=str(plan.reference[derivative_name(variable)]),
-            causality="local",
-            variability="continuous",
-            initial="calculated",
-            description=f"Derivative of {variable.name}",
-            derivative=str(plan.reference[variable.name]),
-        )
+        attributes = {"unit": unit} if unit else {}
+        attributes |= {"name": name, "valueReference": str(reference[name])}
+        attributes |= _of_derivative(variable.name)
+        element = add(parent, "Float64", attributes, derivative=str(reference[variable.name]))
         if variable.is_array:
-            ElementTree.SubElement(element, "Dimension", start=str(variable.size))
+            add(element, "Dimension", start=str(variable.size))
 
 
-def _fmi3_structure(parent: ElementTree.Element, block: Block, plan: Layout) -> None:
-    owner = {
-        name: variable.name
-        for variable in block.variables.values()
-        for name in variable.element_names
-    }
-    owner |= {
-        name: derivative_name(variable)
-        for variable in _differentiated(block)
-        for name in derivative_elements(variable)
-    }
-    elements: dict[str, list[str]] = {}
-    for element, name in owner.items():
-        elements.setdefault(name, []).append(element)
+def _fmi3_structure(parent: Element, block: Block, reference: dict[str, int]) -> None:
+    elements = _elements(block)
+    owner = {element: name for name, group in elements.items() for element in group}
     owner["time"] = "time"
-
-    def unknowns(tag: str, names: Iterable[str], dependencies: dict[str, list[str]]) -> None:
-        for name in sorted(names, key=plan.reference.__getitem__):
+    for tag, names, dependencies in _unknowns(block):
+        for name in sorted(names, key=reference.__getitem__):
             depends = {
-                plan.reference[owner[known]]
+                reference[owner[known]]
                 for element in elements[name]
                 for known in dependencies[element]
             }
-            ElementTree.SubElement(
+            add(
                 parent,
-                tag,
-                valueReference=str(plan.reference[name]),
+                tag.replace("Derivative", "ContinuousStateDerivative"),
+                valueReference=str(reference[name]),
                 dependencies=" ".join(map(str, sorted(depends))),
-            )
-
-    outputs = [variable for variable in block.having("output", "state") if not variable.local]
-    derivatives = [derivative_name(variable) for variable in _differentiated(block)]
-    computed = [variable.name for variable in outputs if not block.has_start(variable)]
-    unknowns("Output", [variable.name for variable in outputs], block.dependencies)
-    unknowns("ContinuousStateDerivative", derivatives, block.dependencies)
-    unknowns("InitialUnknown", computed + derivatives, block.initial_dependencies)
-
-
-def terminals(block: Block) -> bytes | None:
-    """Return terminalsAndIcons.xml of FMI 3.0, or None for a block without terminals."""
-    if not block.terminals:
-        return None
-    root = ElementTree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
-    _terminals(root, block)
-    return text(root)
-
-
-def _terminals(parent: ElementTree.Element, block: Block) -> None:
-    listed = ElementTree.SubElement(parent, "Terminals")
-    for name, members in block.terminals.items():
-        terminal = ElementTree.SubElement(
-            listed,
-            "Terminal",
-            name=name,
-            matchingRule="bus",
-            terminalKind=f"{TERMINAL_KINDS}.{name}",
-        )
-        for member, variable in members.items():
-            ElementTree.SubElement(
-                terminal,
-                "TerminalMemberVariable",
-                variableName=variable,
-                memberName=member,
-                variableKind="signal",
             )

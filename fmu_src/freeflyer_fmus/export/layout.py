@@ -84,7 +84,7 @@ def layout(block: Block) -> Layout:
                 start.append(0.0 if variable.start is None else float(variable.start[index]))
         ranges[name] = (first, len(values) - first)
     first = len(values)
-    for variable in [] if block.is_sampled else block.having("state"):
+    for variable in block.differentiated:
         reference[derivative_name(variable)] = len(values)
         for index, element in enumerate(derivative_elements(variable)):
             values.append(

@@ -7,13 +7,13 @@ fixed or locked joint are merged into one body.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation import toml_file
+from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
 from freeflyer_fmus.errors import RobotError
 from freeflyer_fmus.robot.robot import Array, Inertial, Joint, Robot, constant
 from freeflyer_fmus.robot.urdf_tree import UrdfJoint, UrdfTree
@@ -45,13 +45,12 @@ def load_robot_file(path: Path = DEFAULT_ROBOT) -> Robot:
     Raises RobotError if the file is invalid or if the robot in this file is invalid.
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        data = toml_file.read(path)
+    except (OSError, ValueError) as error:
         raise RobotError(f"robot file {path} cannot be read: {error}") from error
     known = ("urdf", "base_link", "end_effector", "tool_link", "lock", "posture")
-    for key in data:
-        if key not in known:
-            raise RobotError(f"robot file {path}: unknown key {key!r}{did_you_mean(key, known)}")
+    for key, hint in unknown_keys(data, known):
+        raise RobotError(f"robot file {path}: unknown key {key!r}{hint}")
     if not isinstance(data.get("urdf"), str):
         raise RobotError(f"robot file {path}: 'urdf' must be the path of a URDF file")
     return load_urdf(

@@ -11,7 +11,7 @@ import pyarrow as pa
 from freeflyer.analysis.audit.ledger import Ledger, Port
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.clock import seconds
-from freeflyer.foundation.errors import RecordError
+from freeflyer.foundation.errors import RecordError, one_line
 from freeflyer.foundation.table import Table
 from freeflyer.master.record import Record
 
@@ -37,7 +37,7 @@ def read(path: Path) -> Record:
             raise RecordError(_missing(path))
         record = Record.read(file)
     except (OSError, pa.ArrowException, ValueError, TypeError, LookupError) as error:
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        reason = getattr(error, "strerror", None) or one_line(error)
         raise RecordError(
             f"{file} cannot be read as a record of `freeflyer run`: {reason}"
         ) from error

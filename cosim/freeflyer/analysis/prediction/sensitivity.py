@@ -16,8 +16,8 @@ from fmpy.model_description import ModelVariable
 
 from freeflyer.fmi.component import Array
 from freeflyer.fmi.fmu import FmuComponent
-from freeflyer.fmi.fmu_description import OWN_TOOL
 from freeflyer.foundation.errors import ComponentError
+from freeflyer.foundation.own_fmus import OWN_TOOL
 
 
 def _provides_derivatives(path: Path) -> bool:

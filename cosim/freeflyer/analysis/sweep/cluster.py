@@ -16,7 +16,7 @@ from pathlib import Path
 import dask
 from distributed import Client, LocalCluster
 
-from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.errors import ScenarioError, one_line
 from freeflyer.scenario.metrics import versions
 
 START = 60.0
@@ -91,7 +91,7 @@ def _local(workers: int) -> Iterator[Client]:
             client.wait_for_workers(workers, timeout=START)
         except (OSError, RuntimeError, TimeoutError) as error:
             raise ScenarioError(
-                f"{workers} workers could not be started on this machine: {_one_line(error)}"
+                f"{workers} workers could not be started on this machine: {one_line(error, 200).rstrip('.')}"
             ) from error
         yield client
     finally:
@@ -131,7 +131,7 @@ def _remote(address: str) -> Iterator[Client]:
     # The cause can be an unknown host name, a closed port, or a peer that is not a Dask scheduler.
     except Exception as error:
         raise ScenarioError(
-            f"the scheduler {address} does not answer within {ANSWER:g} s ({_one_line(error)}); start one with `dask scheduler`"
+            f"the scheduler {address} does not answer within {ANSWER:g} s ({one_line(error, 200).rstrip('.')}); start one with `dask scheduler`"
         ) from error
     try:
         try:
@@ -178,7 +178,3 @@ def _check_versions(client: Client) -> None:
 
 def python_version() -> str:
     return f"{sys.version_info.major}.{sys.version_info.minor}"
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__

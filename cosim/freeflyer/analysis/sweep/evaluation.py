@@ -12,6 +12,7 @@ from rich.console import RenderableType
 
 from freeflyer.foundation import user_object
 from freeflyer.foundation.errors import CosimError
+from freeflyer.foundation.plugins import described
 from freeflyer.scenario.experiment import Result
 
 
@@ -72,7 +73,7 @@ def reported(
         raise
     except Exception as error:  # user code can raise anything
         raise CosimError(
-            f"evaluation {text} cannot report the results in {folder}: {type(error).__name__}: {error}"
+            f"evaluation {text} cannot report the results in {folder}: {described(error)}"
         ) from error
 
 

@@ -28,7 +28,7 @@ from freeflyer.analysis.sweep.designs import (
 )
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.errors import ScenarioError
-from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
 from freeflyer.scenario import csv_parameters
 from freeflyer.scenario.inheritance import Raw
 from freeflyer.scenario.overrides import Changes, parse_value, plain
@@ -449,6 +449,5 @@ def _table(raw: Raw, key: str) -> Raw:
 
 
 def _known(raw: Raw, keys: Sequence[str], where: str) -> None:
-    for key in raw:
-        if key not in keys:
-            raise ScenarioError(f"unknown key {key!r} in {where}{did_you_mean(key, keys)}")
+    for key, hint in unknown_keys(raw, keys):
+        raise ScenarioError(f"unknown key {key!r} in {where}{hint}")

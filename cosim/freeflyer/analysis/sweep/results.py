@@ -25,6 +25,7 @@ from freeflyer.analysis.sweep.plan import Plan
 from freeflyer.analysis.sweep.task import Row
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.output_file import check_writable, write_text, write_whole
+from freeflyer.foundation.plugins import described
 from freeflyer.scenario import metrics, scenario
 
 PLAN, PARTS, RESULTS = "sweep.json", "parts", "results.parquet"
@@ -127,7 +128,7 @@ class Results:
             return
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ScenarioError(
-                f"{path} is not a plan of a sweep ({type(error).__name__}: {error}); choose another --out"
+                f"{path} is not a plan of a sweep ({described(error)}); choose another --out"
             ) from error
         different = [
             key

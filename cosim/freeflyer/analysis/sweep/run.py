@@ -21,6 +21,7 @@ from freeflyer.analysis.sweep.task import WorkerRefused, failure, run_batch
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.exit_codes import STOPPED
 from freeflyer.foundation.interrupts import interrupts
+from freeflyer.foundation.plugins import described
 from freeflyer.scenario.metrics import versions
 
 BATCH = 1.0
@@ -133,7 +134,7 @@ class _Work:
                 [
                     {
                         "run": number,
-                        **failure(f"the worker failed: {type(error).__name__}: {error}"),
+                        **failure(f"the worker failed: {described(error)}"),
                     }
                     for number in numbers
                 ]

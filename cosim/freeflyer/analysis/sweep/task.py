@@ -19,7 +19,8 @@ from distributed import get_worker
 from freeflyer.analysis.sweep import evaluation, stability
 from freeflyer.analysis.sweep.plan import Run, Setup, files
 from freeflyer.fmi import unpacked
-from freeflyer.foundation.errors import CosimError, ScenarioError
+from freeflyer.foundation.errors import CosimError, ScenarioError, one_line
+from freeflyer.foundation.plugins import described
 from freeflyer.scenario import assemble, experiment, metrics
 from freeflyer.scenario.experiment import Result
 
@@ -64,8 +65,7 @@ def row(setup: Setup, run: Run) -> Row:
     # The cause can be a rejected value, a lack of memory, or any exception of a third-party
     # component.
     except Exception as error:
-        cause = str(error) if isinstance(error, CosimError) else f"{type(error).__name__}: {error}"
-        found = failure(" ".join(cause.split()))
+        found = failure(one_line(error) if isinstance(error, CosimError) else described(error))
     return {"run": run.number, **found, "run_s": time.perf_counter() - start}
 
 
