@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from freeflyer.scenario import experiment, scenario
 from freeflyer_fmus.equations import passivity
+from freeflyer_fmus.equations.passivity import DamperInertia
+from freeflyer_fmus.equations.sampled_control import mean_wrench
 
 SX = ca.SX
 T = 1e-3
@@ -67,6 +69,71 @@ def test_a_bounded_damper_plus_the_laws_damping_is_below_the_limit_of_a_held_dam
     bounded = value(passivity.bounded(SX(beta), SX(0.5), SX(m), SX(K_D), SX(period)))
     assert 0.0 <= bounded <= beta
     assert bounded == 0.0 or bounded + K_D <= 0.5 * m / period * (1 + 1e-12)
+
+
+def random_inertia(seed: int) -> np.ndarray:
+    """Return a random inertia (6, 6) with coupled axes, each axis with a unit of its own."""
+    random = np.random.default_rng(seed)
+    factor = random.normal(size=(6, 6)) * 10.0 ** random.uniform(-1.0, 0.0, 6)
+    units = 10.0 ** random.uniform(-1.0, 1.0, 6)
+    return np.asarray(units[:, None] * (factor @ factor.T + 1e-3 * np.eye(6)) * units)
+
+
+def coupled(inertia: np.ndarray) -> np.ndarray:
+    return np.array(ca.evalf(passivity.coupled_inertia(SX(ca.DM(inertia))))).ravel()
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seeds)
+def test_the_coupled_inertia_is_below_the_inertia_matrix(seed: int) -> None:
+    M = random_inertia(seed)
+    m, alone = coupled(M), 1.0 / np.diag(np.linalg.inv(M))
+    assert (m > 0.0).all()
+    assert (m <= alone * (1 + 1e-9)).all()
+    # The eigenvalues of M^-1 diag(m) are at most 1. They do not depend on units.
+    assert np.linalg.eigvals(np.linalg.solve(M, np.diag(m))).real.max() <= 1 + 1e-9
+
+
+@given(seeds)
+def test_the_coupled_inertia_does_not_depend_on_units(seed: int) -> None:
+    M, units = random_inertia(seed), 10.0 ** np.random.default_rng(seed).uniform(-2.0, 2.0, 6)
+    changed = coupled(units[:, None] * M * units)
+    assert changed == pytest.approx(units**2 * coupled(M), rel=1e-6)
+
+
+def test_the_coupled_inertia_of_uncoupled_axes_is_their_inertia() -> None:
+    diagonal = np.array([150.0, 150.0, 150.0, 38.0, 20.0, 23.0])
+    assert coupled(np.diag(diagonal)) == pytest.approx(diagonal, rel=1e-12)
+
+
+@pytest.mark.parametrize("is_matched", [False, True])
+@given(seeds, st.floats(0.1, 1.99), st.floats(1e-3, 1.0))
+def test_with_coupled_inertia_held_dampers_at_their_bound_and_the_law_dissipate_energy(
+    is_matched: bool, seed: int, c: float, period: float
+) -> None:
+    """The body has constant inertia. The spring is at rest, so that the law is a damper."""
+    random, M = np.random.default_rng(seed), random_inertia(seed)
+    m = coupled(M)
+    # The law alone uses a part of the bound, so that all dampers are active.
+    share = random.uniform(0.0, 0.9, 2) * c * m[:, None] / period / [2.0, period]
+    K_D, K_P = SX(ca.DM(share[:, 0])), SX(ca.DM(share[:, 1]))
+    T, theta = SX(period), SX(0.5)
+    number = SX(int(DamperInertia.coupled))
+    bound = passivity.bound_of_axes(number, SX(int(is_matched)), SX(ca.DM(M)), K_P, K_D, T, theta)
+    beta = np.array(ca.evalf(passivity.bounded(SX(1e9), SX(c), *bound, T))).ravel()
+    assert (beta > 0.0).all()
+    v = random.normal(size=6)
+    if is_matched:
+        held = mean_wrench(
+            SX(ca.DM(M)), ca.diag(K_P), ca.diag(K_D), T, SX.zeros(6), SX(ca.DM(v)), theta
+        )
+    else:
+        held = -K_D * SX(ca.DM(v))
+    F = np.array(ca.evalf(held)).ravel() - beta * v
+    later = v + period * np.linalg.solve(M, F)
+    assert later @ M @ later <= v @ M @ v * (1 + 1e-9)
 
 
 def test_the_energy_at_the_derived_ports_closes_to_the_stated_residual(tmp_path: Path) -> None:

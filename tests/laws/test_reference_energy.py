@@ -106,12 +106,42 @@ def test_the_filter_makes_the_loop_insensitive_to_noise() -> None:
         "measurement_noise.joint_velocity_noise=3e-4",
         "stop_s=60",
     ]
-    with_filter, without = (
-        run("disturbed", *noise, f"base_controller.filtered={filtered}")
-        for filtered in ("true", "false")
+    without = run("disturbed", *noise, "base_controller.filtered=false")
+    for without_lag in ("false", "true"):
+        with_filter = run(
+            "disturbed", *noise, f"manipulator_controller.filter_without_lag={without_lag}"
+        )
+        assert late(with_filter) < 2e-3
+        assert late(without) > 3.0 * late(with_filter)
+
+
+PUSH = "disturbance.pulse_joint_torque=[0, 0, 5, 0, 0, 0]"
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_the_filter_without_lag_keeps_the_damping_of_the_base(is_late: bool) -> None:
+    """The lagging filter takes K_P tau = 1.2 of the 2 N m s/rad away. The PC is off."""
+    delay = ["base_command_delay.delay==base_controller.period"] if is_late else []
+    lagging, without_lag, unfiltered = (
+        late(
+            run(
+                "disturbed",
+                PUSH,
+                *delay,
+                "manipulator_controller.base_passivity_control=false",
+                "stop_s=80",
+                setting,
+            ),
+            "base_orientation_error_deg",
+        )
+        for setting in (
+            "manipulator_controller.filter_without_lag=false",
+            "manipulator_controller.filter_without_lag=true",
+            "base_controller.filtered=false",
+        )
     )
-    assert late(with_filter) < 2e-3
-    assert late(without) > 3.0 * late(with_filter)
+    assert without_lag < 0.4 * lagging
+    assert without_lag < 3.0 * unfiltered
 
 
 def test_joint_friction_does_not_use_up_the_energy_of_the_facility_with_the_reference_energy() -> (

@@ -122,12 +122,26 @@ def test_the_printed_bookkeeping_does_not_see_a_sampled_damper_of_port_m() -> No
     assert printed.min() > -0.01
 
 
-@pytest.mark.parametrize(("bound", "completes"), [(0.5, False), (0.15, True)])
+@pytest.mark.parametrize(
+    ("inertia", "bound", "completes"),
+    [
+        ("diagonal", 0.5, False),
+        ("diagonal", 0.15, True),
+        ("coupled", 0.5, True),
+        ("coupled", 1.9, True),
+    ],
+)
+@pytest.mark.parametrize("observer", ["port", "paper"])
 def test_the_default_bound_of_the_damper_at_port_m_is_too_large(
-    bound: float, completes: bool
+    observer: str, inertia: str, bound: float, completes: bool
 ) -> None:
     """With E_m(0) = 0 it acts at its bound. A single axis of the wrist moves less inertia."""
-    settings = [f"{CONTROLLER}.manipulator_initial_energy=0", f"{CONTROLLER}.damper_bound={bound}"]
+    settings = [
+        f"{CONTROLLER}.manipulator_initial_energy=0",
+        f"{CONTROLLER}.observer={observer}",
+        f"{CONTROLLER}.damper_inertia={inertia}",
+        f"{CONTROLLER}.damper_bound={bound}",
+    ]
     result = experiment.run(scenario.load("multirate_passive", settings))
     assert result.outcome.diverged != completes
 

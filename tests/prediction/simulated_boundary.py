@@ -75,6 +75,7 @@ def random_memories(seed: int) -> tuple[str, list[str]]:
         "base_controller.discretisation": law,
         "manipulator_controller.discretisation": law,
         "manipulator_controller.filter_time": round(random.uniform(0.005, 0.03), 4),
+        "manipulator_controller.filter_without_lag": str(random.random() < 0.5).lower(),
         "base_command_delay.delay": delay,
         "base_controller.command_delay": delay if late == "late, predicted" else 0.0,
         "arm_command_delay.delay": random.choice([0.0, 0.001]),

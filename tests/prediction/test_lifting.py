@@ -89,6 +89,7 @@ def test_the_lifted_map_is_the_derivative_of_the_simulated_period_in_parallel_ex
 def test_the_lifted_map_of_controllers_with_memory_is_the_derivative_of_two_simulated_periods(
     overrides: list[str],
 ) -> None:
+    overrides = [*overrides, "manipulator_controller.filter_without_lag=false"]
     with at_set_point(scenario.load("disturbed", [*QUIET, *overrides])) as here:
         n = here.model.roles.period // here.model.roles.tick
         loop = here.loop(n)

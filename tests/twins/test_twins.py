@@ -24,6 +24,9 @@ from freeflyer_fmus.robot.urdf import load_robot_file
 STEP = 1e-3
 REFERENCE = {"discretisation": 2.0, "observer": 4.0, "manipulator_initial_energy": 0.0}
 
+COUPLED = {"damper_inertia": 2.0, "manipulator_initial_energy": 0.0}
+SOFT = {"discretisation": 2.0, "stiffness": 1e-9, "damping": 1e-9}
+
 
 @cache
 def declared(name: str) -> Block:
@@ -126,6 +129,11 @@ def test_in_process_block_and_fmu_agree_in_every_mode(
         ("manipulator_controller", {"filter_time": 0.004, "position_setpoint": 0.1}),
         ("manipulator_controller", REFERENCE | {"angular_velocity_weight": 0.2}),
         ("manipulator_controller", REFERENCE | {"filter_time": 0.004}),
+        ("manipulator_controller", {"filter_time": 0.004, "filter_without_lag": 1.0}),
+        ("manipulator_controller", COUPLED),
+        ("manipulator_controller", COUPLED | {"discretisation": 2.0, "theta": 0.7}),
+        ("base_controller", {"damper_inertia": 2.0, "damper_bound": 1e-5, "damping": 0.0}),
+        ("base_controller", SOFT | {"damper_inertia": 2.0, "damper_bound": 1e-5}),
         ("base_controller", {"discretisation": 2.0, "command_delay": 0.3}),
         ("base_controller", {"discretisation": 2.0, "command_delay": 0.002}),
         ("free_flyer", {"arm_mass_factor": 1.2}),

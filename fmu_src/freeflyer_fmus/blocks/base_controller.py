@@ -29,12 +29,11 @@ from freeflyer_fmus.equations.kinematics import (
     base_jacobian_transposed_times,
     end_effector_velocity,
 )
-from freeflyer_fmus.equations.passivity import Bookkeeping
+from freeflyer_fmus.equations.passivity import Bookkeeping, DamperInertia
 from freeflyer_fmus.equations.sampled_control import (
     Discretisation,
     mean_step,
     mean_wrench,
-    sampled_damping,
 )
 from freeflyer_fmus.equations.spatial import solve_positive_definite
 from freeflyer_fmus.equations.tracking_control import feed_forward, pose_error, spring_damper
@@ -59,6 +58,7 @@ def base_controller(robot: Robot) -> Block:
     share = block.parameter(
         "damper_bound", 0.5, "1", "c in beta <= c M~ / T_b - K_D (0: no bound; used only with bookkeeping applied)", tunable=True, minimum=0.0
     )
+    axis_inertia = block.choice("damper_inertia", DamperInertia, DamperInertia.diagonal, "M~ of each axis in the bound of the damper")
     least_sigma = block.parameter(
         "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Smallest allowed singular value of J_m", tunable=True, minimum=0.0
     )
@@ -137,10 +137,8 @@ def base_controller(robot: Robot) -> Block:
     # `as_printed`, the observer counts the energy of the damper with the unbounded beta_b.
     # Therefore this controller must apply the unbounded beta_b.
     is_bounded = ca.logic_and(passivity.is_applied(bookkeeping, "base"), share > 0)
-    own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M), K_P, K_D, T_b, theta), K_D)
-    beta = ca.if_else(
-        is_bounded, passivity.bounded(beta_b, share, ca.diag(M), own_damping, T_b), beta_b
-    )
+    bound = passivity.bound_of_axes(axis_inertia, is_matched, M, K_P, K_D, T_b, theta)
+    beta = ca.if_else(is_bounded, passivity.bounded(beta_b, share, *bound, T_b), beta_b)
     F_pcb = -beta * v_b
     wrench = F_b_star + law + F_pcb + Jb_F
     block.update("queued_law", law + F_pcb)

@@ -36,8 +36,8 @@ from freeflyer_fmus.blocks.terminals import END_EFFECTOR, REFERENCE
 from freeflyer_fmus.equations import passivity
 from freeflyer_fmus.equations.dynamics import articulated_end_effector_inertia
 from freeflyer_fmus.equations.kinematics import base_jacobian_transposed_times
-from freeflyer_fmus.equations.passivity import Bookkeeping, Observer
-from freeflyer_fmus.equations.sampled_control import Discretisation, mean_wrench, sampled_damping
+from freeflyer_fmus.equations.passivity import Bookkeeping, DamperInertia, Observer
+from freeflyer_fmus.equations.sampled_control import Discretisation, mean_wrench
 from freeflyer_fmus.equations.tracking_control import (
     feed_forward,
     joint_torque,
@@ -76,6 +76,7 @@ def manipulator_controller(robot: Robot) -> Block:
     share = block.parameter(
         "damper_bound", 0.5, "1", "c in beta <= c M~ / T - K_D (0: no bound; used only with bookkeeping applied)", tunable=True, minimum=0.0
     )
+    axis_inertia = block.choice("damper_inertia", DamperInertia, DamperInertia.diagonal, "M~ of each axis in the bound of the damper")
     least_sigma = block.parameter(
         "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Smallest allowed singular value of J_m", tunable=True, minimum=0.0
     )
@@ -88,6 +89,7 @@ def manipulator_controller(robot: Robot) -> Block:
         "angular_velocity_weight", 1.0, "m/rad", "Weight of w in |v|^2 of observer `reference`", tunable=True, above=0.0
     )
     tau_f = block.parameter("filter_time", 0.0, "s", "Time constant of the filtered outputs (0: no filter)", minimum=0.0)
+    without_lag = block.switch("filter_without_lag", False, "Use the velocities in the filter of the errors: the filtered errors then do not lag")
     null_damping = null_space_damping(block, robot)
     null_stiffness, null_posture = null_space_spring(block, robot)
     limits = joint_limits(block, robot)
@@ -171,7 +173,7 @@ def manipulator_controller(robot: Robot) -> Block:
     follows = observer == int(Observer.reference)
     U_m = spring_energies(K_P, dx_m)
     E_m -= ca.if_else(follows, begun * passivity.reference_energy(U_m, U_m_1, 0, u_m, T_m), 0)
-    own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M_e), K_P, K_D, T_m, theta), K_D)
+    bound = passivity.bound_of_axes(axis_inertia, is_matched, M_e, K_P, K_D, T_m, theta)
     beta_m = ca.if_else(
         follows,
         passivity.common_damper(E_m, u_m, weight, T_m, floor),
@@ -179,7 +181,7 @@ def manipulator_controller(robot: Robot) -> Block:
     )
     beta_m = ca.if_else(
         ca.logic_and(applied_m, share > 0),
-        passivity.bounded(beta_m, share, ca.diag(M_e), own_damping, T_m),
+        passivity.bounded(beta_m, share, *bound, T_m),
         beta_m,
     )
     beta_m = ca.if_else(arm_on, beta_m, 0)
@@ -210,14 +212,17 @@ def manipulator_controller(robot: Robot) -> Block:
             E_b, held - begun * F_pcb_held + share_b, v_b, beta_b_1, u_b_1, T_m
         ),
     )
-    # First-order filter of the errors and velocities, for the base controller and its damper.
+    # First-order filter of the errors and velocities, for the base controller and its damper. The
+    # filter delays its input by tau_f. A spring with a delayed error loses the damping K_P tau_f.
+    # With the input e + tau_f e', the filtered error does not lag: (1 + tau_f s) e is its input.
     dx_b = pose_error(p_b, state.orientation, p_bd, R_bd)
     share_f = ca.if_else(begun > 0, T_m / (tau_f + T_m), 1.0)
     filtered = {}
+    lead = ca.if_else(ca.logic_and(without_lag, begun > 0), tau_f, 0.0)
     for name, value, unit in (
-        ("base_error", dx_b, POSE_ERROR),
+        ("base_error", dx_b + lead * v_b, POSE_ERROR),
         ("base_velocity", v_b, TWIST),
-        ("end_effector_error", dx_m, POSE_ERROR),
+        ("end_effector_error", dx_m + lead * (v_m - v_d), POSE_ERROR),
         ("end_effector_velocity_error", v_m - v_d, TWIST),
     ):
         before = block.state(f"filtered_{name}", np.zeros(6), unit, f"Filtered {name}, in I")

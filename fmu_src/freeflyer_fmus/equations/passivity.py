@@ -21,6 +21,9 @@ from typing import Literal
 
 import casadi as ca
 
+from freeflyer_fmus.equations.sampled_control import sampled_damping
+from freeflyer_fmus.equations.spatial import solve_positive_definite
+
 SX = ca.SX
 
 
@@ -57,6 +60,18 @@ class Bookkeeping(IntEnum):
     applied = 2
     manipulator_applied_base_as_printed = 3
     manipulator_as_printed_base_applied = 4
+
+
+class DamperInertia(IntEnum):
+    """Inertia M~ of each axis in the upper bound of a damper (`bounded`).
+
+    `diagonal`: the diagonal of M~. The axes are coupled. Therefore a single axis can move less
+    inertia than that, and a damper at its bound can generate energy.
+    `coupled`: `coupled_inertia`. A damper at its bound dissipates energy, whatever the coupling.
+    """
+
+    diagonal = 1
+    coupled = 2
 
 
 def is_applied(bookkeeping: SX, port: Literal["manipulator", "base"]) -> SX:
@@ -131,3 +146,45 @@ def bounded(beta: SX, fraction: SX, inertia: SX, damping: SX, T: SX) -> SX:
     may dissipate only a part of the energy deficit. The rest of the deficit is dissipated later.
     """
     return ca.fmin(beta, ca.fmax(0.0, fraction * inertia / T - damping))
+
+
+def bound_of_axes(
+    choice: SX, is_matched: SX, inertia: SX, K_P: SX, K_D: SX, T: SX, theta: SX
+) -> tuple[SX, SX]:
+    """Return M~ (6) and the damping of the control law (6), for `bounded`.
+
+    `choice` is the number of a `DamperInertia`. `inertia` is M (6, 6). The law is the matched or
+    the emulated law with the diagonals K_P (6) and K_D (6) and the period T.
+
+    The damping of the matched law is a full matrix, (A^-1 + theta T M^-1)^-1 with A = K_D + theta T
+    K_P. `diagonal` uses an upper bound of its diagonal. `coupled` uses A, which is larger in the
+    sense of definite matrices.
+    """
+    is_coupled = choice == int(DamperInertia.coupled)
+    of_matched_law = ca.if_else(
+        is_coupled, K_D + theta * T * K_P, sampled_damping(ca.diag(inertia), K_P, K_D, T, theta)
+    )
+    return (
+        ca.if_else(is_coupled, coupled_inertia(inertia), ca.diag(inertia)),
+        ca.if_else(is_matched, of_matched_law, K_D),
+    )
+
+
+def coupled_inertia(inertia: SX) -> SX:
+    """Return m (6), for which M - diag(m) is positive semidefinite. `inertia` is M (6, 6).
+
+    M is symmetric and positive definite. With N = M^-1, m_i = 1 / sum_j |N_ij| sqrt(N_ii / N_jj).
+    1 / N_ii is the inertia that axis i alone moves. m_i is smaller, because dampers act on the
+    other axes at the same time. The axes can have different units.
+
+    Proof: let W = diag(N_ii)^(1/2). The absolute row sums of W diag(m) N W^-1 are 1. Therefore the
+    eigenvalues of diag(m) N are at most 1.
+
+    A wrench -S v that is held for T changes the kinetic energy by -T/2 v^T (2 S - T S N S) v. For
+    S > 0, this is negative for every v if S < 2 M / T. If diag(beta) plus the damping of the law is
+    at most c diag(m) / T, it is at most c M / T. Therefore the sum of both dissipates energy for
+    every c below 2. With c <= 1, it reverses no motion.
+    """
+    N = solve_positive_definite(inertia, SX.eye(6))
+    w = ca.sqrt(ca.diag(N))
+    return 1.0 / (w * (ca.fabs(N) @ (1.0 / w)))
