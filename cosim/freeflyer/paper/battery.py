@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
+from rich.text import Text
 
 from freeflyer.foundation.output_file import write_text
 from freeflyer.scenario.experiment import Result
@@ -25,7 +26,7 @@ LIMITS = {
 }
 CEILING = "ceiling"
 """The case in which both controllers have the period of the manipulator controller."""
-FILE = "battery.md"
+FILE, FIGURE = "battery.md", "battery.png"
 Row = Mapping[str, Any]
 
 
@@ -42,6 +43,9 @@ class Battery:
         return {"within_limits": float(within)}
 
     def report(self, rows: Sequence[Row], axes: Sequence[str], folder: Path) -> RenderableType:
+        from freeflyer.analysis.figure_style import save
+        from freeflyer.paper import battery_figure
+
         del axes
         header = (
             "strategy",
@@ -60,7 +64,9 @@ class Battery:
         lost = "\n".join(f"- {text}" for text in not_convergent(rows))
         text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
         write_text(folder / FILE, f"{text}\n\n{lost}\n")
-        return table
+        figure = battery_figure.draw(verdicts(rows, drawn=False), verdicts(rows, drawn=True))
+        save(figure, folder / FIGURE)
+        return Group(table, Text(f"Table: {folder / FILE}, figure: {folder / FIGURE}"))
 
 
 evaluation = Battery()
@@ -72,6 +78,18 @@ def is_drawn(row: Row) -> bool:
 
 def convergent(row: Row) -> bool:
     return bool(row["stable"]) and row["within_limits"] == 1.0
+
+
+def verdict(row: Row) -> str:
+    """Return the verdict on a run: a key of `battery_figure.COLOURS`."""
+    return "convergent" if convergent(row) else "stable only" if row["stable"] else "not stable"
+
+
+def verdicts(rows: Sequence[Row], drawn: bool) -> dict[tuple[str, str], str]:
+    """Return the verdict on each strategy and disturbance, of the drawn or of the named cases."""
+    return {
+        (row["case"], row["design_name"]): verdict(row) for row in rows if is_drawn(row) is drawn
+    }
 
 
 def counted(rows: Sequence[Row], case: str) -> list[str]:
