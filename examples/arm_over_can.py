@@ -37,7 +37,15 @@ def answer(bus: can.BusABC, cycle: int, mode: int, torque: float = 0.0) -> None:
     data = bytes(command.encode(values))
     frame = crc(data[2:], 0x4000 + command.frame_id) + data[2:]
     counter = (counter + 1) % 256
-    bus.send(can.Message(arbitration_id=command.frame_id, data=frame, is_fd=True, bitrate_switch=True, is_extended_id=False))
+    bus.send(
+        can.Message(
+            arbitration_id=command.frame_id,
+            data=frame,
+            is_fd=True,
+            bitrate_switch=True,
+            is_extended_id=False,
+        )
+    )
 
 
 def mode_and_torque(arm: dict, moved_since: float | None) -> tuple[int, float]:
@@ -50,7 +58,9 @@ def mode_and_torque(arm: dict, moved_since: float | None) -> tuple[int, float]:
     return TORQUE, push - 4.0 * arm["Velocity1"]
 
 
-with VirtualFacility("facility", {"devices.arm_drive.channel": "arm_over_can", "facility.arm_watchdog_cycles": 200}) as facility:
+with VirtualFacility(
+    "facility", {"devices.arm_drive.channel": "arm_over_can", "facility.arm_watchdog_cycles": 200}
+) as facility:
     with can.Bus(interface="local", channel="arm_over_can", fd=True) as bus:
         since, start, arm = None, None, {}
         while since is None or time.monotonic() - since < 2.0:

@@ -13,8 +13,9 @@ def joint_damper() -> Block:
     """Return a sampled controller that damps the joints and holds their start positions."""
     block = Block("joint_damper", "Joint springs and dampers")
     block.sampled_every("period", 1e-3, "Sampling time")
-    stiffness = block.parameter("stiffness", [50.0] * 6, "N.m/rad", "Spring of each joint")
-    damping = block.parameter("damping", [8.0] * 6, "N.m.s/rad", "Damper of each joint")
+    stiff, damp = [50.0, 50.0, 50.0, 20.0, 10.0, 5.0], [8.0, 8.0, 8.0, 2.0, 1.0, 0.5]
+    stiffness = block.parameter("stiffness", stiff, "N.m/rad", "Spring of each joint")
+    damping = block.parameter("damping", damp, "N.m.s/rad", "Damper of each joint")
     desired = block.parameter("desired", [0.0] * 6, "rad", "Desired joint positions")
     q = block.input("joint_position", [0.0] * 6, "rad", "Measured joint positions")
     v = block.input("joint_velocity", [0.0] * 6, "rad/s", "Measured joint velocities")

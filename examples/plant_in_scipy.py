@@ -27,4 +27,6 @@ done = solve_ivp(rates, (0.0, 5.0), plant.x, rtol=1e-9, atol=1e-9)
 angle = 2.0 * np.degrees(np.arcsin(part(done.y[:, -1], "base_orientation")[2]))
 print(f"{done.t.size} steps; joint 1 at {part(done.y[:, -1], 'joint_position')[0]:.3f} rad")
 print(f"the base has turned by {angle:.3f} deg about z")
-print(f"largest eigenvalue of the linearised plant: {np.linalg.eigvals(plant.linearise().A).real.max():.2g} 1/s")
+print(
+    f"largest eigenvalue of the linearised plant: {np.linalg.eigvals(plant.linearise().A).real.max():.2g} 1/s"
+)

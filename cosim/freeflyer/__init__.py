@@ -6,4 +6,12 @@ modules are private and may be moved.
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name):
+    """Return a public name. Raises MissingExtra if it needs an extra that is not installed."""
+    from freeflyer.foundation.extras import needed_by
+
+    with needed_by(f"{__name__}.{name}"):
+        return _attribute(name)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from freeflyer.foundation.extras import require
 from freeflyer_fmus.errors import RobotError
 from freeflyer_fmus.export.compiler import PLATFORMS
 from freeflyer_fmus.export.fmus import (
@@ -71,6 +72,11 @@ class FmusCommand:
 
     def execute(self, arguments: argparse.Namespace, console: Any) -> int:
         platforms, _ = chosen_platforms(arguments.platforms)
+        # Report a missing package before the equations are derived, which takes seconds.
+        if platforms:
+            require("freeflyer fmus", ["ziglang"])
+        if arguments.robot is not None:
+            require("freeflyer fmus --robot", ["pinocchio"])
         robot = load_robot(
             DEFAULT_ROBOT.stem if arguments.robot is None else arguments.robot,
             base_link=arguments.base_link,

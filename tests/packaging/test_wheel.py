@@ -4,39 +4,14 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import os
-import shutil
-import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
 import pytest
+from wheels import ROOT, built, run, sdist_unpacked
 
-ROOT = Path(__file__).parents[2]
 ROOTS = ("freeflyer", "freeflyer_adapters", "freeflyer_fmus")
-
-
-def run(*command: str, folder: Path, **environment: str) -> str:
-    done = subprocess.run(
-        command,
-        cwd=folder,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
-def built(target: str, source: Path, folder: Path) -> Path:
-    """Build a wheel or sdist without the compiled files of the build hook."""
-    command = [sys.executable, "-P", "-m", "hatchling", "build", "-t", target, "-d", str(folder)]
-    run(*command, folder=source, HATCH_BUILD_NO_HOOKS="true")
-    (path,) = folder.iterdir()
-    return path
 
 
 def names_in(wheel: Path) -> set[str]:
@@ -56,9 +31,7 @@ def test_the_wheel_contains_three_packages_and_nothing_else(wheel: Path) -> None
 
 
 def test_the_sdist_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
-    shutil.unpack_archive(built("sdist", ROOT, tmp_path / "sdist"), tmp_path / "unpacked")
-    (source,) = (tmp_path / "unpacked").iterdir()
-    own = names_in(built("wheel", source, tmp_path / "wheel"))
+    own = names_in(built("wheel", sdist_unpacked(tmp_path), tmp_path / "wheel"))
     # A checkout may have compiled files.
     assert own == {name for name in names_in(wheel) if "/prebuilt/" not in name}
     assert {"freeflyer/paper/scenarios/facility.toml", "freeflyer_fmus/c/fmi3.c"} <= own

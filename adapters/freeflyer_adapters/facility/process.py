@@ -14,6 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Self
 
+from freeflyer.foundation.extras import EXTRAS, require
 from freeflyer.scenario.overrides import Changes
 from freeflyer.scenario.scenario import texts
 from freeflyer_adapters.foundation.errors import DeviceError
@@ -41,6 +42,7 @@ class VirtualFacility:
         self.report: dict[str, Any] = {}
 
     def __enter__(self) -> Self:
+        require("VirtualFacility", EXTRAS["hil"])
         self._folder = TemporaryDirectory(prefix="freeflyer-facility-")
         command = (sys.executable, "-P", "-m", "freeflyer", "facility", self._scenario)
         self._process = subprocess.Popen(

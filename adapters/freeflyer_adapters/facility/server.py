@@ -303,7 +303,7 @@ def _factory(name: str, kind: str) -> Factory:
         raise DeviceError(
             f"device {name}: no virtual device for the kind {kind!r}{did_you_mean(kind, points)}"
         )
-    found: Factory = load(points[kind])
+    found: Factory = load(points[kind], f"device {name} of kind {kind!r}")
     return found
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NoReturn, Protocol
 
 from freeflyer.foundation.errors import CosimError, report_error
 from freeflyer.foundation.exit_codes import BAD_INPUT, STOPPED
+from freeflyer.foundation.extras import needed_by
 from freeflyer.foundation.interrupts import ENDING
 from freeflyer.foundation.plugins import described, load, plugins
 
@@ -133,7 +134,8 @@ def call(arguments: Sequence[str]) -> int:
     from freeflyer.cli.console import PlainConsole
 
     try:
-        return command.execute(parsed, PlainConsole(highlight=False, markup=False))
+        with needed_by(f"freeflyer {name}"):
+            return command.execute(parsed, PlainConsole(highlight=False, markup=False))
     except CosimError as error:
         return report_error(str(error), error.exit_code)
     except OSError as error:
@@ -157,7 +159,10 @@ class _Version(argparse.Action):
 
 
 def _loaded(name: str) -> Command:
-    """Load one subcommand. Raises CosimError if a third-party command raises any exception."""
+    """Load one subcommand. Raises CosimError if a third-party command raises any exception.
+
+    Raises MissingExtra if the command needs an extra that is not installed.
+    """
     with _one_sentence(name):
         if name not in COMMANDS:
             command: Command = load(plugins(GROUP)[name])()
@@ -192,10 +197,11 @@ def _listing(*, with_help: bool) -> Iterator[tuple[str, str]]:
 def _one_sentence(name: str) -> Iterator[None]:
     """Convert any exception of a third-party command to a CosimError.
 
-    Exceptions of our own commands are not converted.
+    Exceptions of our own commands are not converted, except for an extra that is not installed.
     """
     try:
-        yield
+        with needed_by(f"freeflyer {name}"):
+            yield
     except Exception as error:
         if name in COMMANDS or isinstance(error, CosimError):
             raise

@@ -11,6 +11,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from freeflyer.foundation.errors import CosimError, one_line
+from freeflyer.foundation.extras import needed_by
 
 RENAMED = {"cosim": "freeflyer", "fmu_src": "freeflyer_fmus", "adapters": "freeflyer_adapters"}
 """Import names of the packages: the name in version 0.1.0 -> the name since version 0.2.0."""
@@ -25,13 +26,15 @@ def plugins(group: str) -> Mapping[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=group)}
 
 
-def load(point: EntryPoint) -> Any:
+def load(point: EntryPoint, subject: str = "") -> Any:
     """Load the object of an entry point.
 
-    Raises CosimError if the import of this object raises any exception.
+    Raises CosimError if the import of this object raises any exception. Raises MissingExtra if the
+    object needs an extra that is not installed; `subject` is then the subject of the message.
     """
     try:
-        return point.load()
+        with needed_by(subject or f"entry point {point.name!r} ({point.group})"):
+            return point.load()
     except CosimError:
         raise
     except (Exception, SystemExit) as error:

@@ -9,6 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from freeflyer.foundation.errors import CosimError
+from freeflyer.foundation.extras import needed_by
 from freeflyer.foundation.plugins import described
 
 
@@ -16,13 +17,14 @@ def load(text: str, folder: Path) -> Any:
     """Return the object that `text` names. A relative path FILE.py is relative to `folder`.
 
     Raises CosimError if the file or the object does not exist, or if its module raises any
-    exception.
+    exception. Raises MissingExtra if the module needs an extra that is not installed.
     """
     where, _, attribute = text.rpartition(":")
     try:
         is_file = where.endswith(".py")
-        module = loaded(folder / where) if is_file else importlib.import_module(where)
-        return getattr(module, attribute)
+        with needed_by(text):
+            module = loaded(folder / where) if is_file else importlib.import_module(where)
+            return getattr(module, attribute)
     except CosimError:
         raise
     except (Exception, SystemExit) as error:  # user code can raise anything

@@ -21,6 +21,7 @@ import pyarrow.parquet as parquet
 
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import CosimError, UnknownSignal
+from freeflyer.foundation.extras import needed_by
 from freeflyer.foundation.output_file import write_whole
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.master.provenance import KEY, Provenance
@@ -181,9 +182,11 @@ class Record:
         """Return a dataset with the dimension `time` [s]. Each signal is a variable.
 
         An array has a second dimension SIGNAL_element, counted from 1. `attrs["units"]` of a
-        variable is the unit of its elements, or a list of units.
+        variable is the unit of its elements, or a list of units. Raises MissingExtra if the extra
+        `analysis` is not installed.
         """
-        import xarray
+        with needed_by("Record.to_xarray"):
+            import xarray
 
         variables = {}
         for name, signal in self.signals.items():

@@ -13,6 +13,7 @@ from rich.table import Table
 from freeflyer.analysis.audit.audit import audit
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.exit_codes import DONE, STOPPED
+from freeflyer.foundation.extras import EXTRAS, require
 from freeflyer.foundation.output_file import check_writable, write_text
 from freeflyer.paper import criteria, figures, real_time, report
 from freeflyer.paper.report import ASSUMPTIONS, Figure, Statement
@@ -43,6 +44,8 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
     results of all completed cases and of the interrupted case are saved.
     Raises OutputError or another CosimError.
     """
+    if in_real_time:
+        require("freeflyer reproduce --real-time", EXTRAS["hil"])
     check_writable(directory)
     # Run the cases. Stop after a case that was interrupted.
     scenarios = [scenario.load(name) for name in CASES]

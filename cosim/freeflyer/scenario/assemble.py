@@ -117,7 +117,7 @@ def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
         raise ComponentError(
             f"component {spec.name}: there is no kind {spec.kind!r}{did_you_mean(spec.kind, points)}"
         )
-    factory: Factory = load(points[spec.kind])
+    factory: Factory = load(points[spec.kind], f"component {spec.name} of kind {spec.kind!r}")
     options = dict(spec.options)
     if fmi is not None and spec.kind in ("fmu", "model_exchange"):
         options["fmi"] = fmi

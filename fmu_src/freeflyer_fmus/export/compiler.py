@@ -8,6 +8,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from freeflyer.foundation.extras import require
 from freeflyer_fmus.errors import BuildError
 
 SOURCES = Path(__file__).parent.parent / "c"
@@ -69,7 +70,11 @@ def fmi_headers() -> Path:
 
 
 def compiler(target: Platform, *flags: str) -> list[str]:
-    """Return the start of a compiler command for a platform: program, target and `flags`."""
+    """Return the start of a compiler command for a platform: program, target and `flags`.
+
+    Raises MissingExtra if the compiler is not installed.
+    """
+    require("the compiler of FMUs", ["ziglang"])
     return [sys.executable, "-P", "-m", "ziglang", "cc", "-target", target.target, *flags]
 
 
