@@ -1,7 +1,8 @@
-"""Move joint 1 of the virtual arm with python-can and the DBC file (docs/interface_control_document.md).
+"""Move joint 1 of the virtual arm with python-can and the DBC file.
 
 The script is a controller of its own: it answers each state frame of the arm with one command. The
-same script would move a real arm with this protocol. Read docs/safety.md before you try.
+same script would move a real arm with this protocol (docs/interface_control_document.md). Read
+docs/safety.md before you try.
 """
 
 import binascii
@@ -49,7 +50,7 @@ def answer(bus: can.BusABC, cycle: int, mode: int, torque: float = 0.0) -> None:
 
 
 def mode_and_torque(arm: dict, moved_since: float | None) -> tuple[int, float]:
-    """Return what the state of the arm asks for: claim, activate, or 0.5 s of torque and damping."""
+    """Return what the state of the arm asks for: a claim, the activation, or torque and damping."""
     if arm["Controller"] != session:
         return CLAIM, 0.0
     if arm["LifeCycle"] == INACTIVE:

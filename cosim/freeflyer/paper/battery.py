@@ -43,8 +43,8 @@ class Battery:
         return {"within_limits": float(within)}
 
     def report(self, rows: Sequence[Row], axes: Sequence[str], folder: Path) -> RenderableType:
-        from freeflyer.analysis.figure_style import save
         from freeflyer.paper import battery_figure
+        from freeflyer.scenario.figure_style import save
 
         del axes
         header = (

@@ -9,7 +9,7 @@ from typing import Any
 from matplotlib import pyplot as plt
 from matplotlib.patches import Patch
 
-from freeflyer.analysis.figure_style import STYLE
+from freeflyer.scenario.figure_style import STYLE
 
 COLOURS = {"convergent": "#A6D8F5", "stable only": "#E69F00", "not stable": "#6B1F00"}
 """A worse verdict has a darker colour. Colour-blind readers and a grey print show the order."""
