@@ -68,7 +68,8 @@ def run_loop(
     `freeflyer.run`. `directory` (default: freeflyer_out/hil_NAME) receives record.parquet,
     summary.json and stop.json, and with `record` also recording.mcap and the CAN log in
     `can_format`. `real_time` requests SCHED_FIFO and locked memory. `view` opens the live view.
-    `log_to` also sends the reason of the stop to a system log. `show` receives one line of text for
+    `log_to` also sends the reason of the stop to a system log. `fmi` is the FMI version of the
+    shipped FMUs. `show` receives one line of text for
     each event. Ctrl-C stops the devices in order.
 
     Raises CosimError for an error before anything moves. A later error ends the run without an

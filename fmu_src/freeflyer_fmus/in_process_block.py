@@ -107,10 +107,12 @@ class InProcessBlock:
 
     @property
     def ports(self) -> Mapping[str, Port]:
+        """Variables by name."""
         return self._ports
 
     @property
     def terminals(self) -> Mapping[str, Mapping[str, str]]:
+        """Terminals: member names and their variables, by the name of the terminal."""
         return self.block.terminals
 
     def value(self, name: str) -> Array:
@@ -166,6 +168,7 @@ class InProcessBlock:
         self.exit_initialization()
 
     def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
+        """Set start values, and enter the initialization mode at the time `start` [s]."""
         self._time = self._start = start
         self._samples = 0
         for name, value in values.items():
@@ -198,12 +201,15 @@ class InProcessBlock:
             self._outputs()
 
     def close(self) -> None:
+        """Release the component."""
         pass
 
     def bind_inputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        """Return a function that copies `buffer` into the inputs `names`."""
         return input_writer([self.value(name) for name in names], buffer)
 
     def bind_outputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        """Return a function that copies the outputs `names` into `buffer`."""
         return output_reader([self.value(name) for name in names], buffer)
 
     # Stepping: the algorithm of c/step.c

@@ -30,7 +30,9 @@ class DeviceComponent(PythonComponent):
         self.device.read()
 
     def step(self, time: float, size: float) -> None:
+        """Read the device once. `time` and `size` are in s; the device has its own clock."""
         self.advance(time, size)  # no further check: the device itself checks its measurements
 
     def close(self) -> None:
+        """Deactivate the device."""
         self.device.deactivate()

@@ -128,14 +128,17 @@ class VirtualDevice(ABC, Generic[L]):
         return {}
 
     @abstractmethod
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Close the link."""
 
     @property
     def events(self) -> list[tuple[int, str]]:
+        """Events of the session: the cycle, and a sentence."""
         return self.logic.events
 
     @property
     def session_is_over(self) -> bool:
+        """Whether the controller has ended the session."""
         return self.logic.session_is_over
 
     @property

@@ -31,7 +31,7 @@ Found = dict[tuple[str, str], tuple[str, str, list[int], list[bytes]]]
 
 
 def read_recording(path: str | Path) -> pandas.DataFrame:
-    """Read a file, or all parts of the recording in the directory of a run.
+    """Read the recording at `path`: a file, or the directory of a run with all its parts.
 
     A recording consists of one or more files, its parts. The table has one row per instant. The
     columns are, in this order: `time` [s], the elements of the signals, the states and counters of

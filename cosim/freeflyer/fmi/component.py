@@ -82,7 +82,12 @@ class _FixedArrays(dict[str, Array]):
 
 
 def memory(ports: Iterable[Port]) -> dict[str, Array]:
-    """Return one array for each port, by name. The array contains the start value, or zeros."""
+    """Return one array for each of the `ports`, by name: the memory of a component.
+
+    An array has the size of its port and contains the start value, or zeros. The keys are fixed:
+    another key raises KeyError. A new value is copied into the array, so the array stays the same.
+    Raises ValueError if such a value has another size.
+    """
     starts = ((port.name, port.start or (0.0,) * port.size) for port in ports)
     return _FixedArrays((name, np.array(start, dtype=float)) for name, start in starts)
 
@@ -118,6 +123,7 @@ class PythonComponent:
 
     @property
     def ports(self) -> Mapping[str, Port]:
+        """Variables by name."""
         return self._ports
 
     def advance(self, time: float, size: float) -> None:
@@ -128,6 +134,7 @@ class PythonComponent:
         """Compute the outputs in `self.values` at the time `start` [s]."""
 
     def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
+        """Set start values, and enter the initialization mode at the time `start` [s]."""
         self._start = start
         for name, value in values.items():
             if not np.isfinite(value).all():
@@ -137,15 +144,19 @@ class PythonComponent:
             self.values[name][:] = value
 
     def exit_initialization(self) -> None:
+        """Leave the initialization mode."""
         self.initialise(self._start)
 
     def bind_inputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        """Return a function that copies `buffer` into the inputs `names`."""
         return input_writer([self.values[name] for name in names], buffer)
 
     def bind_outputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        """Return a function that copies the outputs `names` into `buffer`."""
         return output_reader([self.values[name] for name in names], buffer)
 
     def step(self, time: float, size: float) -> None:
+        """Advance from `time` by `size`. Both are in s."""
         self.advance(time, size)
         for name, port in self._ports.items():
             if port.causality == "output" and not np.isfinite(self.values[name]).all():
@@ -155,4 +166,5 @@ class PythonComponent:
                 )
 
     def close(self) -> None:
+        """Release the component."""
         pass

@@ -87,7 +87,9 @@ def opened(path: Path) -> Iterator[Archive]:
 
 @_cached_per_file
 def describe_fmu(path: Path) -> ModelDescription:
-    """Read the model description of an FMU. Raises ComponentError if the FMU is unusable.
+    """Read the model description of the FMU at `path`, as FMPy represents it.
+
+    Raises ComponentError if the FMU is unusable.
 
     Nothing in the FMU is executed. FMPy parses XML with lxml, and accepts entities and document
     types. Therefore FMPy receives only XML text that `Archive.xml` has checked.

@@ -81,6 +81,7 @@ class Record:
         return f"Record of {self.rows} rows{span}: {', '.join(self.signals)}"
 
     def append(self, time: float, values: Array) -> None:
+        """Add a row: a time [s], and the values of all columns."""
         self._time[self.rows] = time
         self._values[self.rows] = values
         self.rows += 1
@@ -176,7 +177,9 @@ class Record:
 
         `attrs["units"]` has the units of the columns.
         """
-        return self.to_arrow().to_pandas()
+        frame = self.to_arrow().to_pandas()
+        frame.attrs["units"] = self.units
+        return frame
 
     def to_xarray(self) -> xarray.Dataset:
         """Return a dataset with the dimension `time` [s]. Each signal is a variable.

@@ -90,6 +90,7 @@ class Result(Shown):
 
     @property
     def table(self) -> Table:
+        """Largest errors, smallest observed energies and times, as `freeflyer run` prints them."""
         rows = []
         for name in self.errors:
             label, _, unit = name.rpartition("_error_")

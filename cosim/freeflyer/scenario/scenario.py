@@ -136,6 +136,7 @@ class Scenario(Shown):
 
     @property
     def table(self) -> Table:
+        """Components with their kinds and communication steps."""
         steps = {
             spec.name: spec.step if isinstance(spec.step, str) else f"{shown(spec.step)}"
             for spec in self.components

@@ -56,7 +56,7 @@ own name. The second item is the name of the connector.
 def load_ssp(
     path: str | os.PathLike[str], changes: Changes = (), *, step: float | None = None
 ) -> Scenario:
-    """Return a scenario from an SSP file.
+    """Return a scenario from the SSP file `path`.
 
     `changes` are those of `freeflyer.load`. `step` [s] is the communication step of each component
     for which the file contains no step. The unpacked FMUs exist as long as the scenario and the

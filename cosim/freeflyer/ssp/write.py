@@ -42,8 +42,8 @@ def write_ssp(
 ) -> System:
     """Write a scenario's system, with its FMUs, as one SSP file for other tools.
 
-    `fmi` is the FMI version of the shipped FMUs: 2 for SSP 1.0, 3 for SSP 2.0 (default: that of the
-    scenario, otherwise 2). Returns the assembled system. Raises CosimError.
+    `path` ends in .ssp. `fmi` is the FMI version of the shipped FMUs: 2 for SSP 1.0, 3 for SSP 2.0
+    (default: that of the scenario, otherwise 2). Returns the assembled system. Raises CosimError.
     """
     file = Path(path)
     if file.suffix != ".ssp":

@@ -96,6 +96,9 @@ class Requirement:
 class Block:
     """Variables and equations of one FMU.
 
+    `name` is the name of the FMU, an identifier, and `description` a text in its model description.
+    Raises BlockError for another name.
+
     Each declaration of a variable returns a symbol. The equations are expressions in these symbols.
     The block derives functions from the equations. Their arguments are (t, p, u, x). t is the time
     [s]. p is a flat vector of all parameters, u of all inputs, and x of all states.
@@ -316,6 +319,7 @@ class Block:
 
     @property
     def is_sampled(self) -> bool:
+        """Whether the block takes samples. A continuous block has derivatives instead."""
         return self.period is not None
 
     @property
@@ -331,6 +335,7 @@ class Block:
 
     @property
     def arguments(self) -> list[SX]:
+        """Symbols (t, p, u, x) of the arguments of all functions."""
         return [
             self.time,
             self._symbols("parameter"),
@@ -525,11 +530,13 @@ class Block:
         return expression is None or bool(ca.depends_on(expression, self.symbols[variable.name]))
 
     def start_of(self, name: str) -> Array:
+        """Return the start value (size) of a variable."""
         start = self.variables[name].start
         assert start is not None
         return start
 
     def start_values(self, *causalities: str) -> Array:
+        """Return the start values of all variables with this causality, as one vector."""
         parts = [
             variable.start for variable in self.having(*causalities) if variable.start is not None
         ]

@@ -31,7 +31,7 @@ def load_robot(
     lock: Mapping[str, float] | None = None,
     posture: Mapping[str, float] | Sequence[float] | None = None,
 ) -> Robot:
-    """Return a shipped robot by name, a robot file (.toml), or a URDF.
+    """Return a robot. `source` is the name of a shipped robot, a robot file (.toml), or a URDF.
 
     The keywords apply to a URDF only. `base_link` (default: the root) is the floating base,
     `end_effector` (default: the only link without children) has the frame E, and the mass and

@@ -13,9 +13,9 @@ def directory() -> Path:
 
 
 def fmu_path(name: str, *, fmi: int = 2) -> Path:
-    """Return the path of a shipped FMU, for another master. `fmi` is its FMI version, 2 or 3.
+    """Return the path of the shipped FMU `name`, for another master. `fmi` is its FMI version.
 
-    Raises FmuSourceError if there is no such FMU.
+    `fmi` is 2 or 3. Raises FmuSourceError if there is no such FMU.
     """
     path = directory() / f"fmi{fmi}" / f"{name}.fmu"
     if not path.is_file():

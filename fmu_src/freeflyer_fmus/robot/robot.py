@@ -191,4 +191,5 @@ class Robot:
 
     @property
     def joint_count(self) -> int:
+        """Number of free joints."""
         return len(self.joints)

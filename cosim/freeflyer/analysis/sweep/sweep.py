@@ -44,7 +44,12 @@ class SweepResult(Shown):
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return `runs` as a data frame. `attrs["units"]` has the units of the columns."""
-        return self.runs.to_pandas()
+        frame = self.runs.to_pandas()
+        frame.attrs["units"] = {
+            field.name: (field.metadata or {}).get(b"unit", b"").decode()
+            for field in self.runs.schema
+        }
+        return frame
 
     @property
     def table(self) -> Table:
@@ -115,7 +120,8 @@ def sweep(
     `directory` (default: freeflyer_out/NAME), and an unfinished sweep there is resumed. `workers`
     is the number of worker processes on this machine (default: one for each core), `scheduler` the
     address of a Dask scheduler (tcp://HOST:PORT). `fmi` is the FMI version of the shipped FMUs.
-    Raises CosimError.
+    `progress` is called with the number of finished runs and the number of all runs. Raises
+    CosimError.
     """
     if workers is not None and workers < 1:
         raise ScenarioError(f"--workers {workers}: at least one worker is expected")
