@@ -17,8 +17,9 @@ import casadi as ca
 import numpy as np
 
 from freeflyer.foundation.errors import ComponentError, StepFailed
+from freeflyer.foundation.keys import TEXT, Key, Keys, declares, read
 from freeflyer.foundation.port import Port, input_writer, output_reader
-from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
+from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_fmus.blocks.block import Block, Requirement
 from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.blocks.user_block import load_block
@@ -333,19 +334,23 @@ class _Evaluator:
         return [result.copy() for result in self._results]
 
 
-def in_process_component(name: str, options: Mapping[str, Any], directory: Path) -> InProcessBlock:
-    """Create an in-process block from a scenario's component table.
+OPTIONS: Keys = {
+    "block": Key(TEXT, "the name of a shipped block, or a FILE.py; default: the name of the component"),
+    "robot": Key(TEXT, "the name of a shipped robot, or the path of a robot file; default: the LWR 4+ with six joints"),
+}  # fmt: skip
 
-    `options["block"]` is the name of a shipped block, or a FILE.py. The default is the component's
-    name. `options["robot"]` is the name of a shipped robot, or the path of a robot file. The
-    default is the LWR 4+ with six joints. Raises ComponentError for an invalid option, block or
-    robot.
+
+@declares(OPTIONS)
+def in_process_component(name: str, options: Mapping[str, Any], directory: Path) -> InProcessBlock:
+    """Create an in-process block from a scenario's component table, whose keys are `OPTIONS`.
+
+    Raises ComponentError for an invalid option, block or robot.
     """
-    for key, hint in unknown_keys(options, ("block", "robot"), ("step_s", "parameters")):
-        raise ComponentError(f"component {name}: unknown key {key!r}{hint}")
+    common = ("kind", "step_s", "samples", "parameters")
+    read(options, OPTIONS, ComponentError, f"component {name}: ", others=common)
     try:
-        source = str(options.get("block", name))
-        path = robot_path(str(options["robot"]), directory) if "robot" in options else DEFAULT_ROBOT
+        source = options.get("block", name)
+        path = robot_path(options["robot"], directory) if "robot" in options else DEFAULT_ROBOT
         robot = load_robot_file(path)
         block = load_block(directory / source)(robot) if source.endswith(".py") else source
         return InProcessBlock(block, name, robot=robot)

@@ -7,6 +7,7 @@ import importlib.metadata
 import re
 from pathlib import Path
 
+import key_tables
 import pytest
 
 import freeflyer
@@ -34,6 +35,12 @@ def test_the_interface_control_document_is_up_to_date() -> None:
     assert document() == written, (
         "run: python -m freeflyer_adapters.cli.interface_document > docs/interface_control_document.md"
     )
+
+
+@pytest.mark.parametrize("name", key_tables.TABLES)
+def test_the_tables_of_keys_are_up_to_date(name: str) -> None:
+    written = (ROOT / "docs" / name).read_text(encoding="utf-8")
+    assert key_tables.page(name) == written, "run: python tests/docs/key_tables.py"
 
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -35,6 +35,7 @@ def test_the_sdist_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
     # A checkout may have compiled files.
     assert own == {name for name in names_in(wheel) if "/prebuilt/" not in name}
     assert {"freeflyer/paper/scenarios/facility.toml", "freeflyer_fmus/c/fmi3.c"} <= own
+    assert {"freeflyer/schema/scenario.json", "freeflyer/schema/sweep.json"} <= own
     assert {f"{root}/{file}" for root in ROOTS for file in ("__init__.pyi", "py.typed")} <= own
 
 

@@ -11,12 +11,24 @@ the simulated other end: it unpacks commands and packs states.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
+from freeflyer.foundation.keys import (
+    ANY,
+    TABLE,
+    WHOLE,
+    Key,
+    Keys,
+    expecting,
+    read,
+    setting,
+    table_schema,
+    whole,
+)
+from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_adapters.can.frame import Frame
 from freeflyer_adapters.can.signals import Field, field_of, load, message_of
 from freeflyer_adapters.device.device import LifeCycle
@@ -114,30 +126,39 @@ LIMIT_ROLES = (
 )
 
 
+_MESSAGE = expecting({"type": "string"}, "the name of a message is expected")
+_NUMBER = whole(0, 1 << 32)
+TABLES: Mapping[str, Keys] = {
+    "messages": dict.fromkeys(ROLES, Key(_MESSAGE, "name of the message")),
+    "signals": {r.name: Key(ANY, "name of the signal") for rows in ROLES.values() for r in rows},
+    "data_ids": dict.fromkeys(ROLES, Key(whole(0, 0xFFFF), "E2E data ID of the frame")),
+    "mode_values": {mode.name: Key(_NUMBER, "raw number of the mode") for mode in Mode},
+    "life_cycle_values": {s.name: Key(_NUMBER, "raw number of the state") for s in LifeCycle},
+}
+"""Keys of the tables of a mapping."""
+
+
+def _table(name: str, meaning: str) -> Any:
+    return setting(Key(TABLE, meaning, default={}, inner=table_schema(TABLES[name])))
+
+
 @dataclass(frozen=True, kw_only=True)
 class FrameMapping:
     """DBC of a scenario, and the names and numbers in this DBC.
 
     An empty table selects the names and numbers of the shipped DBC. The frames are called
     "command", "state" and "description".
-
-    - `messages`: frame -> message name.
-    - `signals`: role -> signal name. For a role with one signal per joint, the name contains `{}`
-      for the number of the joint. A list of names is also possible.
-    - `data_ids`: frame -> E2E data ID. E2E protection needs an entry if the DBC has no attribute
-      E2eDataId.
-    - `e2e_offset`: first byte of the E2E header.
-    - `mode_values`, `life_cycle_values`: name -> raw number in the DBC. Needed if the number
-      differs from the number in the shipped DBC.
     """
 
     dbc: Path = SHIPPED_DBC
-    messages: Mapping[str, str] = field(default_factory=dict)
-    signals: Mapping[str, Any] = field(default_factory=dict)
-    data_ids: Mapping[str, int] = field(default_factory=dict)
-    e2e_offset: int = 0
-    mode_values: Mapping[str, int] = field(default_factory=dict)
-    life_cycle_values: Mapping[str, int] = field(default_factory=dict)
+    # fmt: off
+    messages: Mapping[str, str] = _table("messages", "frame (`command`, `state`, `description`) -> name of the message")
+    signals: Mapping[str, Any] = _table("signals", "role -> name of the signal. For a role with one signal per joint, the name contains `{}` for the number of the joint. A list of names is also possible")
+    data_ids: Mapping[str, int] = _table("data_ids", "frame -> E2E data ID. E2E protection needs an entry if the DBC has no attribute E2eDataId")
+    e2e_offset: int = setting(Key(WHOLE, "first byte of the E2E header", default=0))
+    mode_values: Mapping[str, int] = _table("mode_values", "mode -> raw number in the DBC. Needed if the number differs from the number in the shipped DBC")
+    life_cycle_values: Mapping[str, int] = _table("life_cycle_values", "state -> raw number in the DBC. Needed if the number differs from the number in the shipped DBC")
+    # fmt: on
 
     @property
     def has_shipped_names(self) -> bool:
@@ -244,43 +265,15 @@ def _check_values(title: str, numbers: Mapping[Any, int], fields: Sequence[Field
             )
 
 
-def check_mapping(mapping: FrameMapping) -> None:
-    """Raise DeviceError if a table of the mapping has an unknown name or an invalid value.
-
-    This check does not read the DBC.
-    """
-    roles = [role.name for rows in ROLES.values() for role in rows]
-    for table, known in (
-        (mapping.signals, roles),
-        (mapping.messages, list(ROLES)),
-        (mapping.data_ids, list(ROLES)),
-        (mapping.mode_values, [mode.name for mode in Mode]),
-        (mapping.life_cycle_values, [state.name for state in LifeCycle]),
-    ):
-        for key, hint in unknown_keys(table, known):
-            raise DeviceError(f"{key!r} in the mapping of the DBC is unknown{hint}")
-    for name, message in mapping.messages.items():
-        if not isinstance(message, str):
-            raise DeviceError(f"messages.{name} is {message!r}; the name of a message is expected")
-    for title, numbers, most in (
-        ("data_ids", mapping.data_ids, 0xFFFF),
-        ("mode_values", mapping.mode_values, 1 << 32),
-        ("life_cycle_values", mapping.life_cycle_values, 1 << 32),
-    ):
-        for name, number in numbers.items():
-            if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
-                raise DeviceError(
-                    f"{title}.{name} is {number!r}; a whole number from 0 to {most} is expected"
-                )
-
-
 class ArmFrames:
     """Command frame, state frame and optional description frame of an arm."""
 
     def __init__(self, mapping: FrameMapping, joints: int) -> None:
         """Assign signals to the roles. Raises DeviceError if the DBC or mapping cannot be used."""
         # The frames need different identifiers: two nodes must not send the same identifier.
-        check_mapping(mapping)
+        for table, keys in TABLES.items():
+            prefix, unknown = f"{table}.", "{name!r} in the mapping of the DBC is unknown"
+            read(getattr(mapping, table), keys, DeviceError, subject=prefix, unknown=unknown)
         self.mapping, self.joints = mapping, joints
         self.command = _frame("command", mapping, joints)
         self.state = _frame("state", mapping, joints)

@@ -10,59 +10,63 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from freeflyer.foundation.keys import (
+    LIST,
+    SWITCH,
+    TEXT,
+    Key,
+    Type,
+    expecting,
+    keys_of,
+    read,
+    setting,
+    text_of,
+)
+from freeflyer.scenario.keys import COMPONENT
 from freeflyer_adapters.base import rmw_zenoh
 from freeflyer_adapters.base.certificates import AUTHORITY, NAME
 from freeflyer_adapters.base.endpoint import Endpoint
-from freeflyer_adapters.device.option_checks import checked, known_keys
 from freeflyer_adapters.foundation.errors import DeviceError
 
 LONGEST_FRAME = 200
 """Longest frame name [bytes]."""
+_TOPIC = Type(text_of(rmw_zenoh.TOPIC), "{name} is {value!r}, not a valid key expression of a ROS topic; 'name/name' is expected")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkOptions:
     """Options of the link, with endpoints in Zenoh's form.
 
-    `connect` and `listen` are the endpoints of the controller. The virtual base robot listens on
-    the endpoints of `connect`. Multicast and gossip of Zenoh are off, so only these endpoints are
-    used.
+    The virtual base robot listens on the endpoints of `connect`. Multicast and gossip of Zenoh are
+    off, so only these endpoints are used.
 
     `certificates` is a folder. If it is given, each end authenticates with its own files in this
     folder. Without certificates, endpoints outside this machine are accepted only if the scenario
     sets `insecure`.
     """
 
-    connect: Sequence[str] = ("tcp/127.0.0.1:7447",)
-    listen: Sequence[str] = ("tcp/127.0.0.1:0",)
-    domain: int = 0
-    setpoint_topic: str = "base_robot/setpoint"
-    measured_topic: str = "base_robot/measured"
-    frame: str = "inertial"
-    child_frame: str = "base"
-    node: str = "freeflyer"
-    certificates: Path | None = None
-    """Folder made by `freeflyer certificates`.
+    # fmt: off
+    connect: Sequence[str] = setting(Key(LIST, "endpoints of the base robot or of a router", default=("tcp/127.0.0.1:7447",)))
+    listen: Sequence[str] = setting(Key(LIST, "endpoints on which the controller listens; default: a free port of this machine"), ("tcp/127.0.0.1:0",))
+    domain: int = setting(Key(expecting({"type": "integer", "minimum": 0, "maximum": 232}, "a ROS domain from 0 to 232 is expected"), "ROS domain", default=0))
+    setpoint_topic: str = setting(Key(_TOPIC, "ROS topic of the set points", default="base_robot/setpoint"))
+    measured_topic: str = setting(Key(_TOPIC, "ROS topic of the measurements", default="base_robot/measured"))
+    frame: str = setting(Key(TEXT, "frame of the poses", default="inertial"))
+    child_frame: str = setting(Key(TEXT, "frame of the base robot", default="base"))
+    node: str = setting(Key(expecting(text_of(rmw_zenoh.NAME), "a ROS node name of letters, digits and underscores is expected"), "name of the controller's ROS node", default="freeflyer"))
+    certificates: Path | None = setting(Key(TEXT, "folder made by `freeflyer certificates`, relative to the scenario. It has ca.pem, and a certificate and a key for each name"))
+    controller: str = setting(Key(TEXT, "common name of the controller's certificate", default="controller"))
+    robot: str = setting(Key(TEXT, "common name of the base robot's certificate; default: the name of the device"), "base_robot")
+    commanders: Sequence[str] = setting(Key(LIST, "certificate names of the controllers that may command the base robot; default: `controller`"), ("controller",))
+    insecure: bool = setting(Key(SWITCH, "whether endpoints outside this machine are accepted without certificates", default=False))
+    # fmt: on
 
-    The folder contains ca.pem, and for each name a certificate and a key.
-    """
-    controller: str = "controller"
-    """Common name of the controller's certificate."""
-    robot: str = "base_robot"
-    """Common name of the base robot's certificate.
 
-    The default in a scenario is the name of the device.
-    """
-    commanders: Sequence[str] = ("controller",)
-    """Certificate names of the controllers that may command the base robot.
-
-    The default in a scenario is the name in `controller`.
-    """
-    insecure: bool = False
+KEYS = keys_of(LinkOptions)
 
 
 def check(options: LinkOptions, subject: str) -> None:
-    """Check all options. Raises DeviceError if an option is not valid.
+    """Check what the types of `KEYS` do not check. Raises DeviceError.
 
     `subject` is the name of the device, for messages.
     """
@@ -104,20 +108,9 @@ def check(options: LinkOptions, subject: str) -> None:
         raise DeviceError(
             f"{subject}: {options.robot!r} is both robot and commander; two different certificates are expected"
         )
-    # Check the names that are used in ROS.
-    for key in ("setpoint_topic", "measured_topic"):
-        topic = getattr(options, key)
-        if not isinstance(topic, str) or not rmw_zenoh.TOPIC.fullmatch(topic):
-            raise DeviceError(
-                f"{subject}: {key} is {topic!r}, not a valid key expression of a ROS topic; 'name/name' is expected"
-            )
     if not options.connect:
         raise DeviceError(
             f"{subject}: connect is empty; the endpoint of the base robot or of a router is expected"
-        )
-    if not rmw_zenoh.NAME.fullmatch(options.node):
-        raise DeviceError(
-            f"{subject}: node is {options.node!r}; a ROS node name of letters, digits and underscores is expected"
         )
     for key in ("frame", "child_frame"):
         frame = getattr(options, key)
@@ -125,10 +118,6 @@ def check(options: LinkOptions, subject: str) -> None:
             raise DeviceError(
                 f"{subject}: {key} is {frame[:40]!r}; a frame name of 1 to {LONGEST_FRAME} bytes is expected"
             )
-    if not isinstance(options.domain, int) or not 0 <= options.domain <= 232:
-        raise DeviceError(
-            f"{subject}: domain is {options.domain!r}; a ROS domain from 0 to 232 is expected"
-        )
 
 
 def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> None:
@@ -171,28 +160,17 @@ def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> LinkOpti
     `raw` is the table of the device `name` in the scenario. Paths are relative to `directory`, the
     directory of the scenario file.
     """
-    defaults = LinkOptions()
-    known_keys(name, raw, list(LinkOptions.__dataclass_fields__))
-    folder = checked(name, raw, "certificates", str, "")
-    insecure = raw.get("insecure", defaults.insecure)
-    if not isinstance(insecure, bool):
-        raise DeviceError(f"device {name}: insecure is {insecure!r}; true or false is expected")
-    controller = checked(name, raw, "controller", str, defaults.controller)
+    given = read(raw, KEYS, DeviceError, f"device {name}: ", others=COMPONENT)
+    folder = given["certificates"]
+    listen = ["tls/127.0.0.1:0"] if folder else LinkOptions().listen
     options = LinkOptions(
-        connect=checked(name, raw, "connect", list, list(defaults.connect)),
-        listen=checked(
-            name, raw, "listen", list, ["tls/127.0.0.1:0"] if folder else list(defaults.listen)
-        ),
-        certificates=directory / Path(folder).expanduser() if folder else None,
-        controller=controller,
-        robot=checked(name, raw, "robot", str, name),
-        commanders=checked(name, raw, "commanders", list, [controller]),
-        insecure=insecure,
-        domain=checked(name, raw, "domain", int, defaults.domain),
         **{
-            key: checked(name, raw, key, str, getattr(defaults, key))
-            for key in ("setpoint_topic", "measured_topic", "frame", "child_frame", "node")
-        },
+            **given,
+            "certificates": directory / Path(folder).expanduser() if folder else None,
+            "listen": raw.get("listen", listen),
+            "robot": raw.get("robot", name),
+            "commanders": raw.get("commanders", [given["controller"]]),
+        }
     )
     check(options, name)
     return options

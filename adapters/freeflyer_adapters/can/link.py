@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import can
 
 from freeflyer.foundation.errors import one_line
+from freeflyer.foundation.keys import ANY, TABLE, TEXT, Key, Keys
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_adapters.can.e2e import Checker, Protector, Status
 from freeflyer_adapters.can.frame import Frame
@@ -28,6 +29,12 @@ These interfaces themselves remove unwanted frames. If another interface had a f
 None, even if further frames are waiting. Therefore the other interfaces get no filter.
 `Receiver.take` compares the identifiers for every interface.
 """
+BUS: Keys = {
+    "interface": Key(TEXT, "interface of python-can", default="local"),
+    "channel": Key(ANY, "channel of the interface", default="freeflyer"),
+    "bus": Key(TABLE, "further arguments of the interface, for example bit rates", default={}),
+}
+"""Keys of every device on a CAN bus."""
 RECENT = 32
 """Number of sent frames that `Sender.recent` stores."""
 

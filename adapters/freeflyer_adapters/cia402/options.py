@@ -7,49 +7,61 @@ are defined in `freeflyer_adapters.cia402.parameters`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from freeflyer.foundation.keys import ANY, LIST, TEXT, WHOLE, Key, Keys, between, expecting, read
+from freeflyer.scenario.keys import COMPONENT
+from freeflyer_adapters.can.link import BUS
 from freeflyer_adapters.cia402.objects import SHIPPED_EDS
 from freeflyer_adapters.cia402.scaling import Motor
-from freeflyer_adapters.device.option_checks import checked, known_keys
 from freeflyer_adapters.foundation.errors import DeviceError
-
-KEYS = ("interface", "channel", "bus", "bitrate", "joints", "node_ids", "host_node_id", "eds", "rated_torque", "encoder_resolution",
-        "gear_ratio", "velocity_scale", "velocity", "heartbeat_s", "largest_load")  # fmt: skip
-VELOCITIES = ("measured", "estimated")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveOptions:
-    """Options of a bus with one drive per joint.
+    """Options of a bus with one drive per joint. `KEYS` describes them."""
 
-    - `bus`: further arguments of the python-can interface.
-    - `bitrate` [bit/s].
-    - `node_ids`, `motors`: one value for each joint.
-    - `eds`: file with the object dictionary of the drives.
-    - `measured_velocity`: whether the drives send measured velocities (TPDO2). Otherwise the host
-      estimates velocities from positions.
-    - `heartbeat`: heartbeat period of the drives and of the host [s].
-    - `largest_load`: largest allowed bus load, as a fraction.
-    """
-
-    interface: str = "local"
-    channel: str = "freeflyer"
-    bus: Mapping[str, Any] = field(default_factory=dict)
-    bitrate: float = 1e6
+    interface: str
+    channel: str
+    bus: Mapping[str, Any]
+    bitrate: float
     node_ids: Sequence[int]
-    host_node_id: int = 127
-    eds: Path = SHIPPED_EDS
+    host_node_id: int
+    eds: Path
     motors: Sequence[Motor]
-    measured_velocity: bool = True
-    heartbeat: float = 0.1
-    largest_load: float = 0.8
+    measured_velocity: bool
+    heartbeat: float
+    largest_load: float
 
     @property
     def joints(self) -> int:
         return len(self.node_ids)
+
+
+# fmt: off
+_PER_JOINT = {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "array", "items": {"type": "number", "exclusiveMinimum": 0}}]}
+MOTOR: Keys = {
+    "rated_torque": Key(ANY, "rated torque of the motors [N m]: one number, or a list with one number for each joint", inner=_PER_JOINT),
+    "encoder_resolution": Key(ANY, "increments per revolution of the motors", default=4096.0, inner=_PER_JOINT),
+    "gear_ratio": Key(ANY, "motor revolutions per joint revolution", default=1.0, inner=_PER_JOINT),
+    "velocity_scale": Key(ANY, "units of 606Ch per increment/s", default=1.0, inner=_PER_JOINT),
+}
+KEYS: Keys = {
+    **BUS,
+    "bitrate": Key(between(1e4, 1e6), "bit rate [bit/s]", default=1e6),
+    "joints": Key(WHOLE, "number of joints", default=6),
+    "node_ids": Key(LIST, "CANopen node numbers of the drives; default: 1, 2, ..."),
+    "host_node_id": Key(WHOLE, "CANopen node number of the host", default=127),
+    "eds": Key(TEXT, "path of the drives' EDS file, relative to the scenario; default: the shipped drive.eds"),
+    **MOTOR,
+    "velocity": Key(expecting({"enum": ["measured", "estimated"]}, "'measured' (TPDO2) or 'estimated' (from positions) is expected"),
+                    "`\"measured\"`: the drives send velocities; `\"estimated\"`: the host computes them from positions", default="measured"),
+    "heartbeat_s": Key(between(0.01, 10.0), "heartbeat period of the drives and of the host [s]", default=0.1),
+    "largest_load": Key(between(0.05, 1.0), "largest allowed bus load, as a fraction", default=0.8),
+}
+# fmt: on
 
 
 def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> DriveOptions:
@@ -58,50 +70,36 @@ def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> DriveOpt
     `name`: name of the device. `directory`: a relative path of an EDS starts in this directory.
     Raises DeviceError for an invalid key or value.
     """
-    known_keys(name, raw, KEYS)
-    joints = checked(name, raw, "joints", int, 6)
+    given = read(raw, KEYS, DeviceError, f"device {name}: ", others=COMPONENT)
+    joints = given["joints"]
     if not 1 <= joints <= 126:
         raise DeviceError(f"device {name}: joints is {joints}; 1 to 126 is expected")
-    velocity = checked(name, raw, "velocity", str, "measured")
-    if velocity not in VELOCITIES:
-        raise DeviceError(
-            f"device {name}: velocity is {velocity!r}; 'measured' (TPDO2) or 'estimated' (from positions) is expected"
-        )
-    eds = checked(name, raw, "eds", str, "")
-    columns = [
-        _per_joint(name, raw, key, joints, default)
-        for key, default in (
-            ("rated_torque", None),
-            ("encoder_resolution", 4096.0),
-            ("gear_ratio", 1.0),
-            ("velocity_scale", 1.0),
-        )
-    ]
+    columns = [_per_joint(name, key, given[key], joints) for key in MOTOR]
     motors = [
         Motor(rated_torque=rated, encoder_resolution=encoder, gear_ratio=gear, velocity_scale=scale)
         for rated, encoder, gear, scale in zip(*columns, strict=True)
     ]
     return DriveOptions(
-        interface=checked(name, raw, "interface", str, "local"),
-        channel=str(raw.get("channel", "freeflyer")),
-        bus=checked(name, raw, "bus", dict, {}),
-        bitrate=_number(name, raw, "bitrate", 1e6, 1e4, 1e6),
-        **_nodes(name, raw, joints),
-        eds=directory / eds if eds else SHIPPED_EDS,
+        interface=given["interface"],
+        channel=str(given["channel"]),
+        bus=given["bus"],
+        bitrate=float(given["bitrate"]),
+        **_nodes(name, given, joints),
+        eds=directory / given["eds"] if given["eds"] else SHIPPED_EDS,
         motors=motors,
-        measured_velocity=velocity == "measured",
-        heartbeat=_number(name, raw, "heartbeat_s", 0.1, 0.01, 10.0),
-        largest_load=_number(name, raw, "largest_load", 0.8, 0.05, 1.0),
+        measured_velocity=given["velocity"] == "measured",
+        heartbeat=float(given["heartbeat_s"]),
+        largest_load=float(given["largest_load"]),
     )
 
 
-def _nodes(name: str, raw: Mapping[str, Any], joints: int) -> dict[str, Any]:
+def _nodes(name: str, given: Mapping[str, Any], joints: int) -> dict[str, Any]:
     """Return the node numbers of the drives and of the host.
 
     Raises DeviceError if two numbers are equal, or if a number is not from 1 to 127.
     """
-    nodes = checked(name, raw, "node_ids", list, list(range(1, joints + 1)))
-    host = checked(name, raw, "host_node_id", int, 127)
+    nodes, host = given["node_ids"], given["host_node_id"]
+    nodes = range(1, joints + 1) if nodes is None else nodes
     if len(nodes) != joints:
         raise DeviceError(
             f"device {name}: node_ids has {len(nodes)} entries; one for each of {joints} joints is expected"
@@ -119,22 +117,8 @@ def _nodes(name: str, raw: Mapping[str, Any], joints: int) -> dict[str, Any]:
     return {"node_ids": tuple(nodes), "host_node_id": host}
 
 
-def _number(
-    name: str, raw: Mapping[str, Any], key: str, default: float, least: float, most: float
-) -> float:
-    value = raw.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
-        raise DeviceError(
-            f"device {name}: {key} is {value!r}; a number from {least:g} to {most:g} is expected"
-        )
-    return float(value)
-
-
-def _per_joint(
-    name: str, raw: Mapping[str, Any], key: str, joints: int, default: float | None
-) -> list[float]:
+def _per_joint(name: str, key: str, value: Any, joints: int) -> list[float]:
     """Return one number per joint. The value of `key` is a list, or one number for all joints."""
-    value = raw.get(key, default)
     if value is None:
         raise DeviceError(
             f"device {name}: {key} is missing; expected: one number for all drives, or a list with one number for each joint"

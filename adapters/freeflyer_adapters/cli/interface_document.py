@@ -5,7 +5,7 @@ Run `python -m freeflyer_adapters.cli.interface_document > docs/interface_contro
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -28,7 +28,7 @@ from freeflyer_adapters.device.device import TRANSITIONS, LifeCycle
 from freeflyer_adapters.device.parameters import Setting
 from freeflyer_adapters.facility import can_faults, zenoh_faults
 from freeflyer_adapters.facility.faults import DIRECTIONS, KINDS, Fault, RandomFaults
-from freeflyer_adapters.facility.settings import FacilitySettings
+from freeflyer_adapters.facility.settings import KEYS as FACILITY
 
 JOINTS = 7
 CLASSIC_PDOS = 2 * 7
@@ -304,12 +304,10 @@ def _facility() -> Iterator[str]:
         "These settings are in `[facility]` of a scenario. The scenario also has the parameters of the models (friction, noise, delay, seeds), as parameters of the components `arm_drive` and "
         "`base_robot`. All these values are assumptions of this project, not values of a real facility.\n"
     )
-    yield "| setting | default |\n|---|---|"
-    names: Sequence[str] = [f.name for f in fields(FacilitySettings)]
-    for name in names:
-        default = getattr(FacilitySettings(), name)
-        if isinstance(default, int | float):
-            yield f"| `{name}` | {default:g} |"
+    yield "| setting | default | meaning |\n|---|---|---|"
+    for name, key in FACILITY.items():
+        if key.default is not None:
+            yield f"| `{name}` | {key.default:g} | {key.meaning} |"
     yield from _faults()
 
 

@@ -18,12 +18,13 @@ import numpy as np
 
 from freeflyer.fmi.component import Array, Component, Port, memory
 from freeflyer.fmi.fmu import FmuComponent
-from freeflyer.scenario.assemble import find_fmu
+from freeflyer.foundation.keys import declares, read
+from freeflyer.scenario.assemble import FMU, find_fmu
+from freeflyer.scenario.keys import COMPONENT
 from freeflyer_adapters.device import parameters as device_parameters
 from freeflyer_adapters.device.component import DeviceComponent
 from freeflyer_adapters.device.device import LifeCycle, SafeStop, State
 from freeflyer_adapters.device.limits import ArmLimits, BaseLimits
-from freeflyer_adapters.device.option_checks import known_keys
 from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.foundation.histogram import Histogram
@@ -238,13 +239,14 @@ def _nothing() -> None:
     pass
 
 
+@declares(FMU)
 def simulated_component(name: str, options: Mapping[str, Any], directory: Path) -> DeviceComponent:
     """Return a device of the kind "simulated". This function is an entry point.
 
     The keys `fmu` and `fmi` have the same meaning as for a component of the kind "fmu". Raises
     DeviceError if the FMU has no settable parameter `period`.
     """
-    known_keys(name, options, ("fmu", "fmi"))
+    read(options, FMU, DeviceError, f"device {name}: ", others=COMPONENT)
     model = FmuComponent(name, find_fmu(name, options, directory))
     period = model.ports.get("period")
     if period is None or period.size != 1 or not period.settable:

@@ -12,10 +12,22 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
-from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
+from freeflyer.foundation.keys import (
+    ANY,
+    Key,
+    Schema,
+    between,
+    expecting,
+    keys_of,
+    setting,
+    table_schema,
+    whole,
+)
+from freeflyer.foundation.keys import read as read_keys
+from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_adapters.foundation.errors import DeviceError
 
 Direction = Literal["to_controller", "to_device", "both"]
@@ -61,25 +73,19 @@ MOST = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """A fault of one device.
+    """A fault of one device."""
 
-    `begin_s` is measured from the first activation of the device in a session. If `begin_s` is
-    None, the fault is active from the start of the session.
-    """
-
-    kind: str
-    device: str
-    direction: Direction = "both"
-    begin_s: float | None = None
-    duration_s: float = math.inf
-    """The duration is rounded to whole cycles of the facility."""
-    probability: float = 1.0
-    """Probability that the fault affects a packet. It is applied to each packet separately."""
-    delay_s: float = 0.01
-    """The delay is rounded up to whole cycles of the facility."""
-    bits: int = 1
-    jump_s: float = 1.0
-    """The jump may be negative."""
+    # fmt: off
+    kind: str = field(metadata={"key": Key(ANY, "kind of the fault: " + "; ".join(f"`{name}`: {kind.description}" for name, kind in KINDS.items()), inner={"enum": list(KINDS)})})
+    device: str = field(metadata={"key": Key(expecting({"type": "string"}, "the name of a device in [devices] is expected"), "name of the device", required=True)})
+    direction: Direction = setting(Key(expecting({"enum": list(DIRECTIONS)}, f"one of {', '.join(DIRECTIONS)} is expected"), "direction of the packets", default="both"))
+    begin_s: float | None = setting(Key(expecting({"type": "number", "minimum": 0, "maximum": 1e9}, "a number, zero or more is expected"), "start [s] after the first activation of the device in a session; without this key, the fault is active from the start"))
+    duration_s: float = setting(Key(expecting({"type": "number", "minimum": 1e-9}, "a number greater than zero is expected"), "duration [s], rounded to whole cycles of the facility"), math.inf)
+    probability: float = setting(Key(between(0, 1), "probability that the fault affects a packet. It is applied to each packet separately", default=1.0))
+    delay_s: float = setting(Key(expecting({"type": "number", "minimum": 0, "maximum": 10}, "a number of seconds from 0 to 10 is expected"), "delay [s], rounded up to whole cycles of the facility", default=0.01))
+    bits: int = setting(Key(whole(1, 64), "number of inverted bits", default=1))
+    jump_s: float = setting(Key(expecting({"type": "number", "minimum": -1e6, "maximum": 1e6}, "a number of seconds from -1e6 to 1e6 is expected"), "jump of the clock [s]; it may be negative", default=1.0))
+    # fmt: on
 
     def one_line(self) -> str:
         """Describe the fault in one line. The facility prints this line at its start."""
@@ -90,48 +96,25 @@ class Fault:
         return f"{self.kind.replace('_', ' ')} of {self.device}{where}: {when}{lasting}{how}"
 
 
+_SPAN = expecting({"type": "number", "minimum": 1e-9, "maximum": 1e9}, "a number of seconds greater than zero is expected")  # fmt: skip
+
+
 @dataclass(frozen=True, kw_only=True)
 class RandomFaults:
-    """Settings of random faults.
+    """Settings of random faults."""
 
-    `count` faults are drawn. They start within `within_s` [s] after the activation, and each fault
-    lasts at most `longest_s` [s].
-    """
-
-    seed: int = 1
-    count: int = 3
-    within_s: float = 5.0
-    longest_s: float = 0.3
-    kinds: tuple[str, ...] = ()
-    """Kinds to draw from. Empty: all kinds that a device supports."""
+    # fmt: off
+    seed: int = setting(Key(whole(0, 1 << 62), "seed of the choice of the faults", default=1))
+    count: int = setting(Key(whole(0, MOST), "number of faults", default=3))
+    within_s: float = setting(Key(_SPAN, "the faults start within this time [s] after the activation", default=5.0))
+    longest_s: float = setting(Key(_SPAN, "largest duration of a fault [s]", default=0.3))
+    kinds: tuple[str, ...] = setting(Key(expecting({"type": "array", "items": {"enum": list(KINDS)}}, f"a list of {', '.join(KINDS)} is expected"), "kinds to draw from; default: all kinds that a device supports", default=()))
+    # fmt: on
 
 
-ALLOWED = {
-    "duration_s": "a number greater than zero",
-    "begin_s": "a number, zero or more",
-    "probability": "a number from 0 to 1",
-    "delay_s": "a number of seconds from 0 to 10",
-    "bits": "a whole number from 1 to 64",
-    "jump_s": "a number of seconds from -1e6 to 1e6",
-}
-
-
-def _fits(key: str, value: Any) -> bool:
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int if key == "bits" else int | float)
-        or math.isnan(value)
-    ):
-        return False
-    least, most = {
-        "duration_s": (1e-9, math.inf),
-        "begin_s": (0.0, 1e9),
-        "probability": (0.0, 1.0),
-        "delay_s": (0.0, 10.0),
-        "bits": (1, 64),
-        "jump_s": (-1e6, 1e6),
-    }[key]
-    return bool(least <= value <= most)
+FAULT, RANDOM = keys_of(Fault), keys_of(RandomFaults)
+FAULTS: Schema = {"type": "array", "items": {**table_schema(FAULT), "required": ["kind", "device"]}}
+TIMES, QUANTITIES = ("begin_s", "duration_s"), ("probability", "delay_s", "bits", "jump_s")
 
 
 def read(raw: Any) -> tuple[Fault, ...]:
@@ -146,10 +129,8 @@ def read(raw: Any) -> tuple[Fault, ...]:
 
 
 def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
-    known = [f.name for f in fields(Fault)]
-    for key, hint in unknown_keys(entry, known):
-        raise DeviceError(f"{subject}: {key} is not known{hint}")
-    kind = entry.get("kind")
+    given = read_keys(entry, FAULT, DeviceError, f"{subject}: ", unknown="{name} is not known")
+    kind = given["kind"]
     if not isinstance(kind, str) or kind not in KINDS:
         hint = did_you_mean(str(kind), KINDS) or f"; one of {', '.join(KINDS)} is expected"
         raise DeviceError(
@@ -157,28 +138,17 @@ def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
             if kind is not None
             else f"{subject}: kind is missing{hint}"
         )
-    if not isinstance(entry.get("device"), str):
-        raise DeviceError(
-            f"{subject}: device is {entry.get('device')!r}; the name of a device in [devices] is expected"
-        )
-    direction = entry.get("direction", "both")
-    if direction not in DIRECTIONS:
-        raise DeviceError(
-            f"{subject}: direction is {direction!r}; one of {', '.join(DIRECTIONS)} is expected"
-        )
     takes = KINDS[kind].takes
-    for key, value in entry.items():
-        if key in ALLOWED and not _fits(key, value):
-            raise DeviceError(f"{subject}: {key} is {value!r}; {ALLOWED[key]} is expected")
-        if key in ALLOWED and key not in (*takes, "begin_s", "duration_s"):
+    for key in entry:
+        if key in QUANTITIES and key not in takes:
             raise DeviceError(
-                f"{subject}: {key} does not apply to {kind}; the keys of {kind} are {', '.join((*takes, 'begin_s', 'duration_s'))}"
+                f"{subject}: {key} does not apply to {kind}; the keys of {kind} are {', '.join((*takes, *TIMES))}"
             )
     if "duration_s" in entry and "begin_s" not in entry:
         raise DeviceError(
             f"{subject}: duration_s is measured from begin_s, but begin_s is missing; add begin_s, or remove duration_s for a permanent fault"
         )
-    if KINDS[kind].whole_device and direction != "both":
+    if KINDS[kind].whole_device and given["direction"] != "both":
         raise DeviceError(
             f"{subject}: {kind} affects the whole device and has no direction; remove direction"
         )
@@ -189,34 +159,9 @@ def read_random(raw: Any) -> RandomFaults:
     """Read `[facility.random_faults]`. Raises DeviceError for an invalid key or value."""
     if not isinstance(raw, Mapping):
         raise DeviceError(f"[facility] random_faults is {raw!r}; a table is expected")
-    known = {f.name: f.default for f in fields(RandomFaults)}
-    for key, hint in unknown_keys(raw, known):
-        raise DeviceError(f"[facility.random_faults] {key} is not known{hint}")
-    for key, value in raw.items():
-        if key == "kinds":
-            if not isinstance(value, list) or not all(
-                isinstance(kind, str) and kind in KINDS for kind in value
-            ):
-                raise DeviceError(
-                    f"[facility.random_faults] kinds is {value!r}; a list of {', '.join(KINDS)} is expected"
-                )
-            continue
-        whole = isinstance(known[key], int)
-        least, most = (0, MOST if key == "count" else 1 << 62) if whole else (1e-9, 1e9)
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int if whole else int | float)
-            or not least <= value <= most
-        ):
-            expected = (
-                f"a whole number from 0 to {most}"
-                if whole
-                else "a number of seconds greater than zero"
-            )
-            raise DeviceError(
-                f"[facility.random_faults] {key} is {value!r}; {expected} is expected"
-            )
-    return RandomFaults(**{**raw, "kinds": tuple(raw.get("kinds", ()))})
+    prefix = "[facility.random_faults] "
+    given = read_keys(raw, RANDOM, DeviceError, prefix, unknown="{name} is not known")
+    return RandomFaults(**{**given, "kinds": tuple(given["kinds"])})
 
 
 def draw(chosen: RandomFaults, devices: Mapping[str, Sequence[str]]) -> tuple[Fault, ...]:

@@ -39,6 +39,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "freeflyer_adapters.cli.certificates:CertificatesCommand",
         "create a certificate authority, and a certificate with key for each peer of the base robot's link",
     ),
+    "check": (
+        "freeflyer.cli.check:CheckCommand",
+        "check a scenario or a sweep with its components, without a run; print the JSON Schema of such files",
+    ),
     "export": (
         "freeflyer.cli.export:ExportCommand",
         "write a scenario's system, with its FMUs, as one SSP file for other tools",

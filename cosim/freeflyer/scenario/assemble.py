@@ -10,6 +10,7 @@ import fnmatch
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,30 +18,34 @@ from freeflyer.fmi.component import Component
 from freeflyer.fmi.fmu import FmuComponent
 from freeflyer.foundation import user_object
 from freeflyer.foundation.errors import ComponentError, CosimError, ScenarioError, one_line
+from freeflyer.foundation.keys import TEXT, Key, Keys, declared_by, declares, expecting, read
 from freeflyer.foundation.plugins import described, load, plugins
 from freeflyer.foundation.signal_name import split
-from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
+from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.master import graph, schedule
 from freeflyer.master.master import Master
 from freeflyer.scenario import parameters
+from freeflyer.scenario.keys import COMPONENT, FACILITY
 from freeflyer.scenario.parameters import Values
 from freeflyer.scenario.scenario import ComponentSpec, Scenario
 from freeflyer.scenario.steps import communication_steps
 
 Factory = Callable[[str, Mapping[str, Any], Path], Component]
+FMU: Keys = {
+    "fmu": Key(TEXT, "a path, or the name of a shipped FMU; default: the name of the component"),
+    "fmi": Key(expecting({"enum": [2, 3]}, "2 or 3 is expected"), "FMI version", default=2),
+}
+PYTHON: Keys = {"object": Key(TEXT, '`"FILE.py:CALLABLE"` or `"MODULE:CALLABLE"`', default="")}
 
 
 def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
     """Return the path of a component's FMU. Raises ComponentError if there is no such FMU.
 
     `name` is the name of the component. `directory` is the folder of the scenario.
-    `options["fmu"]` is a path relative to `directory`, or the name of a shipped FMU. Its default
-    value is `name`. `options["fmi"]` is the FMI version: 2 (default) or 3.
+    `options` has the keys `FMU`. A path among them is relative to `directory`.
     """
-    _check_options(name, options, ("fmu", "fmi"))
-    fmu, version = str(options.get("fmu", name)), options.get("fmi", 2)
-    if version not in (2, 3):
-        raise ComponentError(f"component {name}: fmi is {version!r}; 2 or 3 is expected")
+    given = read(options, FMU, ComponentError, f"component {name}: ", others=COMPONENT)
+    fmu, version = str(options.get("fmu", name)), given["fmi"]
     if fmu.endswith(".fmu"):
         return directory / fmu
     known: list[str] = []
@@ -59,15 +64,12 @@ def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
     )
 
 
-def _check_options(name: str, options: Mapping[str, Any], known: tuple[str, ...]) -> None:
-    for key, hint in unknown_keys(options, known, ("kind", "step_s", "samples", "parameters")):
-        raise ComponentError(f"component {name}: unknown key {key!r}{hint}")
-
-
+@declares(FMU)
 def fmu_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
     return FmuComponent(name, find_fmu(name, options, directory))
 
 
+@declares(FMU)
 def model_exchange_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
     # Imported here because only this kind needs SciPy's integrators.
     from freeflyer.fmi.model_exchange import ModelExchangeComponent
@@ -75,6 +77,7 @@ def model_exchange_component(name: str, options: Mapping[str, Any], directory: P
     return ModelExchangeComponent(name, find_fmu(name, options, directory))
 
 
+@declares(PYTHON)
 def python_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
     """Return the component that the user's function `options["object"]` creates.
 
@@ -82,8 +85,8 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
     `directory`, the folder of the scenario. The function is called with the name of the component.
     Raises ComponentError if the function cannot be called or does not return a component.
     """
-    _check_options(name, options, ("object",))
-    where, colon, attribute = str(options.get("object", "")).partition(":")
+    given = read(options, PYTHON, ComponentError, f"component {name}: ", others=COMPONENT)
+    where, colon, attribute = given["object"].partition(":")
     if not colon:
         raise ComponentError(
             f"component {name}: object = 'FILE.py:CALLABLE' or 'MODULE:CALLABLE' is expected"
@@ -107,17 +110,32 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
     return made
 
 
-def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
-    """Create a component from its specification. Raises ComponentError.
-
-    `directory` is the folder of the scenario. `fmi`, if given, overrides the FMI version.
-    """
+def _factory(spec: ComponentSpec) -> Factory:
     points = plugins("freeflyer.components")
     if spec.kind not in points:
         raise ComponentError(
             f"component {spec.name}: there is no kind {spec.kind!r}{did_you_mean(spec.kind, points)}"
         )
     factory: Factory = load(points[spec.kind], f"component {spec.name} of kind {spec.kind!r}")
+    return factory
+
+
+def check_devices(scenario: Scenario) -> None:
+    """Check the keys of the devices, and the table [facility]. Raises CosimError."""
+    for spec in scenario.devices:
+        keys = declared_by(_factory(spec))
+        if keys is not None:
+            read(spec.options, keys, ComponentError, f"device {spec.name}: ", others=COMPONENT)
+    if scenario.facility:
+        import_module(FACILITY).read(scenario.facility)
+
+
+def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
+    """Create a component from its specification. Raises ComponentError.
+
+    `directory` is the folder of the scenario. `fmi`, if given, overrides the FMI version.
+    """
+    factory = _factory(spec)
     options = dict(spec.options)
     if fmi is not None and spec.kind in ("fmu", "model_exchange"):
         options["fmi"] = fmi

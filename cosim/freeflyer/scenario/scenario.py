@@ -17,10 +17,9 @@ from __future__ import annotations
 
 import datetime
 import json
-import math
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -28,8 +27,9 @@ from typing import Any, Literal, get_args
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.clock import nanoseconds, shown
 from freeflyer.foundation.errors import ScenarioError
-from freeflyer.foundation.signal_name import split, split_connection
-from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
+from freeflyer.foundation.keys import fits, read, table_schema
+from freeflyer.foundation.signal_name import component_of, split_connection
+from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.table import Shown, Table
 from freeflyer.foundation.units import converted, factor
 from freeflyer.master.connection import Connection
@@ -37,12 +37,12 @@ from freeflyer.master.divergence import Limit
 from freeflyer.master.graph import Exchange
 from freeflyer.scenario import csv_parameters
 from freeflyer.scenario.inheritance import Raw, merged
+from freeflyer.scenario.keys import COMPONENT, ENERGY, LIMIT, MEASURE, RECORD, ROLES, SCENARIO, Kind
 from freeflyer.scenario.overrides import Changes, apply, check_changes, plain
-from freeflyer.scenario.signal_roles import ROLES, SEVERAL, SignalRoles
+from freeflyer.scenario.signal_roles import SignalRoles
 
 SHIPPED = Path(__file__).parent.parent / "paper" / "scenarios"
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
-Kind = Literal["position", "orientation"]
 Step = int | str
 """A communication step [ns], or "=PARAMETER" for a parameter [s] of the same component."""
 
@@ -263,25 +263,6 @@ def _expand(raw: Raw) -> None:
 class _Reader:
     """Converter of the raw tables of one file to dataclasses."""
 
-    KEYS = (
-        "title",
-        "paper",
-        "stop_s",
-        "expect",
-        "robot",
-        "record",
-        "exchange",
-        "components",
-        "devices",
-        "facility",
-        "connections",
-        "delayed",
-        "limits",
-        "errors",
-        "observed_energy",
-        "roles",
-    )
-
     def __init__(self, path: Path) -> None:
         self.path = path
 
@@ -289,62 +270,43 @@ class _Reader:
         return ScenarioError(f"scenario {self.path}: {message}")
 
     def scenario(self, raw: Raw) -> Scenario:
-        self.check_keys(raw, self.KEYS, "the scenario")
-        expect = raw.get("expect", "completes")
-        if expect not in ("completes", "diverges"):
-            raise self.fail(f"expect is {expect!r}; 'completes' or 'diverges' is expected")
-        exchange = raw.get("exchange", "sequential")
-        if exchange not in get_args(Exchange):
-            raise self.fail(f"exchange is {exchange!r}; 'sequential' or 'parallel' is expected")
-
-        # The table [record] is checked here, because a misspelled key would change the recorded
-        # signals without a message.
-        record = self.table(raw, "record")
-        self.check_keys(record, ("every_s", "signals"), "[record]")
-        signals = record.get("signals", ["*"])
-        if not isinstance(signals, list) or not all(
-            isinstance(pattern, str) for pattern in signals
-        ):
-            raise self.fail(
-                f"[record] signals is {signals!r}; a list of 'COMPONENT.VARIABLE' with wildcards * and ? is expected"
-            )
+        given = read(raw, SCENARIO, self.fail, where=" in the scenario")
+        record = read(given["record"], RECORD, self.fail, subject="[record] ", where=" in [record]")
 
         # The components are read first, because devices and roles refer to components.
         components = tuple(
-            self.component(name, raw["components"][name]) for name in self.table(raw, "components")
+            self.component(name, table) for name, table in given["components"].items()
         )
         if not components:
             raise self.fail("there are no components; at least one [components.NAME] is expected")
         devices = tuple(
-            self.device(name, device, raw["components"])
-            for name, device in self.table(raw, "devices").items()
+            self.device(name, device, given["components"])
+            for name, device in given["devices"].items()
         )
 
         # The remaining tables do not depend on each other.
-        energies = self.table(raw, "observed_energy")
-        errors = {
-            name: self.measure(name, pair) for name, pair in self.table(raw, "errors").items()
-        }
+        errors = {name: self.measure(name, pair) for name, pair in given["errors"].items()}
+        energies = given["observed_energy"]
         return Scenario(
             name=self.path.stem,
-            title=self.text(raw, "title", self.path.stem),
-            paper=self.text(raw, "paper", ""),
+            title=self.path.stem if given["title"] is None else given["title"],
+            paper=given["paper"],
             directory=self.path.parent,
-            stop=self.time(raw, "stop_s", "stop_s"),
-            record_every=self.time(record, "every_s", "[record] every_s", 0.01),
-            record_signals=tuple(signals),
-            expect=expect,
-            exchange=exchange,
-            robot=self.table(raw, "robot"),
+            stop=self.time(given["stop_s"], "stop_s"),
+            record_every=self.time(record["every_s"], "[record] every_s"),
+            record_signals=tuple(record["signals"]),
+            expect=given["expect"],
+            exchange=given["exchange"],
+            robot=given["robot"],
             components=components,
             devices=devices,
-            facility=self.table(raw, "facility"),
-            connections=tuple(self.connections(raw, "connections", False))
-            + tuple(self.connections(raw, "delayed", True)),
-            limits=tuple(self.limit(item) for item in self.array(raw, "limits")),
+            facility=given["facility"],
+            connections=tuple(self.connections(given, "connections", False))
+            + tuple(self.connections(given, "delayed", True)),
+            limits=tuple(self.limit(item) for item in given["limits"]),
             errors=errors,
-            observed_energy={name: self.text(energies, name, "") for name in energies},
-            roles=self.roles(raw),
+            observed_energy=read(energies, dict.fromkeys(energies, ENERGY), self.fail),
+            roles=self.roles(given["roles"], given["components"]),
             source=to_toml(raw),
         )
 
@@ -355,51 +317,26 @@ class _Reader:
             raise self.fail(
                 f"component {name!r}: a name of letters, digits and underscores is expected"
             )
-
-        # The keys that remain in `rest` are the options of the kind. The factory of the kind checks
-        # these options.
-        rest = dict(raw)
-        kind = rest.pop("kind", "fmu")
-        parameters = rest.pop("parameters", {})
-        samples = rest.pop("samples", None)
-        if samples is not None and not isinstance(samples, bool):
-            raise self.fail(f"component {name}: samples is {samples!r}; true or false is expected")
-        if "step_s" not in rest:
+        if "step_s" not in raw:
             raise self.fail(
                 f"component {name} has no step_s; its communication step in seconds is expected"
             )
-        step = rest.pop("step_s")
-        if not isinstance(kind, str) or not isinstance(parameters, dict):
-            raise self.fail(f"component {name}: 'kind' must be a name and 'parameters' a table")
-
-        # A step with a unit is converted to seconds first. Then the step is checked: it must be a
-        # whole number of nanoseconds.
-        if (
-            isinstance(step, dict)
-            and isinstance(step.get("unit"), str)
-            and isinstance(step.get("value"), int | float)
-            and not isinstance(step.get("value"), bool)
-        ):
+        common = {key: value for key, value in raw.items() if key in COMPONENT}
+        given = read(common, COMPONENT, self.fail, subject=f"component {name}: ")
+        step = given["step_s"]
+        if isinstance(step, dict):
             try:
                 step = converted(step["value"], factor(step["unit"], "s"))
             except ValueError as error:
                 raise self.fail(f"component {name}: step_s: {error}") from error
-        if isinstance(step, str) and step.startswith("="):
-            return ComponentSpec(
-                name=name,
-                kind=kind,
-                step=step,
-                parameters=parameters,
-                options=rest,
-                samples=samples,
-            )
-        if isinstance(step, bool) or not isinstance(step, int | float):
-            raise self.fail(
-                f"component {name}: step_s is {step!r}; seconds or '=PARAMETER' are expected"
-            )
-        exact = nanoseconds(step, f"component {name}: step_s")
         return ComponentSpec(
-            name=name, kind=kind, step=exact, parameters=parameters, options=rest, samples=samples
+            name=name,
+            kind=given["kind"],
+            step=step if isinstance(step, str) else nanoseconds(step, f"component {name}: step_s"),
+            parameters=given["parameters"],
+            # The factory of the kind checks the options.
+            options={key: value for key, value in raw.items() if key not in COMPONENT},
+            samples=given["samples"],
         )
 
     def device(self, name: str, raw: object, components: Raw) -> ComponentSpec:
@@ -412,8 +349,8 @@ class _Reader:
             raise self.fail(f"devices.{name} is {raw!r}; a table with a 'kind' is expected")
         return self.component(name, {"step_s": components[name]["step_s"], **raw})
 
-    def connections(self, raw: Raw, key: str, delayed: bool) -> Iterable[Connection]:
-        for text in self.array(raw, key):
+    def connections(self, given: Raw, key: str, delayed: bool) -> Iterable[Connection]:
+        for text in given[key]:
             if not isinstance(text, str):
                 raise self.fail(f"{key}: {text!r}; a string with '->' is expected")
             source, arrow, targets = split_connection(text)
@@ -434,54 +371,29 @@ class _Reader:
         """Return a limit. The table must contain either `maximum` or `minimum`."""
         if not isinstance(raw, dict):
             raise self.fail(f"limits: {raw!r}; a table is expected")
-        self.check_keys(
-            raw,
-            ("signal", "elements", "norm", "maximum", "minimum", "for_s", "cause"),
-            "[[limits]]",
-        )
-        signal, norm = raw.get("signal"), raw.get("norm", "maximum")
-        if not isinstance(signal, str) or ("maximum" in raw) == ("minimum" in raw):
+        signal = raw.get("signal")
+        one_bound = ("maximum" in raw) != ("minimum" in raw)
+        if raw.keys() <= LIMIT.keys() and not (isinstance(signal, str) and one_bound):
             raise self.fail(
                 f"limits: {raw!r}; a 'signal' and either a 'maximum' or a 'minimum' are expected"
             )
-
-        # A maximum limits an absolute value or a norm. Therefore the maximum must be positive.
-        bound = raw.get("maximum", raw.get("minimum"))
-        if (
-            isinstance(bound, bool)
-            or not isinstance(bound, int | float)
-            or math.isnan(bound)
-            or ("maximum" in raw and bound <= 0)
-        ):
-            raise self.fail(
-                f"limit on {signal}: {bound!r}; a number is expected, and a maximum must be greater than zero"
-            )
-        if norm not in ("maximum", "euclidean"):
-            raise self.fail(
-                f"limit on {signal}: norm is {norm!r}; 'maximum' or 'euclidean' is expected"
-            )
+        given = read(raw, LIMIT, self.fail, subject=f"limit on {signal}: ", where=" in [[limits]]")
         if "minimum" in raw and "norm" in raw:
             raise self.fail(f"limit on {signal}: 'norm' applies to a 'maximum'; remove it here")
-
-        # Without `elements` the limit applies to all elements of the signal.
-        elements = raw.get("elements")
-        whole = (
-            isinstance(elements, list)
-            and len(elements) == 2
-            and all(isinstance(k, int) and k >= 1 for k in elements)
-        )
-        if elements is not None and not (whole and elements[0] <= elements[1]):
+        elements = given["elements"]
+        if elements is not None and elements[0] > elements[1]:
             raise self.fail(
                 f"limit on {signal}: elements is {elements!r}; [first, last], counted from 1, is expected"
             )
         return Limit(
-            signal=signal,
-            bound=float(bound),
+            signal=given["signal"],
+            bound=float(raw["minimum" if "minimum" in raw else "maximum"]),
             is_minimum="minimum" in raw,
-            cause=self.text(raw, "cause", "limit passed"),
+            cause=given["cause"],
+            # Without `elements` the limit applies to all elements of the signal.
             elements=None if elements is None else (elements[0], elements[1]),
-            euclidean=norm == "euclidean",
-            lasting=self.time(raw, "for_s", f"limit on {signal}: for_s") if "for_s" in raw else 0,
+            euclidean=given["norm"] == "euclidean",
+            lasting=self.time(raw["for_s"], f"limit on {signal}: for_s") if "for_s" in raw else 0,
         )
 
     def measure(self, name: str, given: object) -> Measure:
@@ -494,67 +406,29 @@ class _Reader:
         if isinstance(given, list) and len(given) == 2:
             kind = next((k for k in get_args(Kind) if name.endswith(k)), None)
             table = {"actual": given[0], "desired": given[1], "kind": kind}
-        texts = all(isinstance(value, str) for value in table.values())
-        if (
-            not texts
-            or table.keys() != {"actual", "desired", "kind"}
-            or table["kind"] not in get_args(Kind)
-        ):
+        if not (table.keys() <= MEASURE.keys() and fits(table, table_schema(MEASURE))):
             raise self.fail(
                 f"errors.{name}: [actual, desired] signals are expected, with a name that ends in 'position' or "
                 f"'orientation'; or {{ actual, desired, kind }} with kind 'position' or 'orientation'"
             )
         return Measure(**table)
 
-    def roles(self, raw: Raw) -> SignalRoles:
-        given = self.table(raw, "roles")
-        self.check_keys(given, ROLES, "[roles]")
-        declared = {}
-        for role, value in given.items():
-            signals = value if isinstance(value, list) and role in SEVERAL else [value]
-            for signal in signals:
-                component, variable = split(signal) if isinstance(signal, str) else ("", "")
-                if not component or not variable:
-                    several = "a list of " if role in SEVERAL else ""
+    def roles(self, raw: Raw, components: Raw) -> SignalRoles:
+        given = read(raw, ROLES, self.fail, subject="roles.", where=" in [roles]")
+        declared = {
+            role: tuple(value) if isinstance(value, list) else (value,)
+            for role, value in given.items()
+            if value is not None
+        }
+        for role, signals in declared.items():
+            for component in map(component_of, signals):
+                if component not in components:
                     raise self.fail(
-                        f"roles.{role} is {value!r}; {several}COMPONENT.VARIABLE is expected"
+                        f"roles.{role}: there is no component {component!r}{did_you_mean(component, components)}"
                     )
-                if component not in raw["components"]:
-                    raise self.fail(
-                        f"roles.{role}: there is no component {component!r}"
-                        f"{did_you_mean(component, raw['components'])}"
-                    )
-            declared[role] = tuple(signals)
         return SignalRoles(declared=declared)
 
-    # Values of single keys
-
-    def check_keys(self, raw: Raw, keys: Sequence[str], where: str) -> None:
-        for key, hint in unknown_keys(raw, keys):
-            raise self.fail(f"unknown key {key!r} in {where}{hint}")
-
-    def table(self, raw: Raw, key: str) -> Raw:
-        value = raw.get(key, {})
-        if not isinstance(value, dict):
-            raise self.fail(f"{key!r} is {value!r}; a table is expected")
-        return value
-
-    def array(self, raw: Raw, key: str) -> list[Any]:
-        value = raw.get(key, [])
-        if not isinstance(value, list):
-            raise self.fail(f"{key!r} is {value!r}; an array is expected")
-        return value
-
-    def text(self, raw: Raw, key: str, default: str) -> str:
-        value = raw.get(key, default)
-        if not isinstance(value, str):
-            raise self.fail(f"{key!r} is {value!r}; a string is expected")
-        return value
-
-    def time(self, raw: Raw, key: str, subject: str, default: float | None = None) -> int:
-        value = raw.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.fail(f"{subject} is {value!r}; a number of seconds is expected")
+    def time(self, value: float, subject: str) -> int:
         return nanoseconds(value, f"scenario {self.path}: {subject}")
 
 

@@ -42,7 +42,6 @@ The role `orientations` is for quaternions of the plant that have no role in `SI
 """
 SWITCHES = ("passivity_control", "preview")
 """Roles of Boolean parameters. The prediction switches them off (`analysis.prediction`)."""
-ROLES = (*SINGLE, *SEVERAL)
 
 
 @dataclass(frozen=True, kw_only=True)

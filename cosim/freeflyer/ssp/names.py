@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
+from freeflyer.scenario.keys import SCENARIO
+
 DESCRIPTION = "SystemStructure.ssd"
 ANNOTATION = "org.freeflyer-cosim"
 """Value of the attribute `type` of our annotations.
@@ -17,17 +19,8 @@ SSP has no elements for communication steps. libcosim and ecos read these annota
 master programs are not part of this project.
 """
 FMU_TYPE = "application/x-fmu-sharedlibrary"
-SETTINGS = (
-    "title",
-    "paper",
-    "expect",
-    "exchange",
-    "record",
-    "limits",
-    "errors",
-    "observed_energy",
-    "roles",
-)
+SYSTEM = ("stop_s", "robot", "components", "devices", "facility", "connections", "delayed")
+SETTINGS = SCENARIO.keys() - set(SYSTEM)
 """Scenario keys that describe the experiment and not the simulated system.
 
 One of our annotations contains a TOML text with these keys and their values.

@@ -26,9 +26,21 @@ from freeflyer.analysis.sweep.designs import (
     Sample,
     Target,
 )
+from freeflyer.analysis.sweep.keys import (
+    AXIS,
+    GRID_INTERVAL,
+    LEVELS,
+    MAP,
+    SAMPLE,
+    SAMPLED_INTERVAL,
+    SWEEP,
+    UNIT,
+)
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.errors import ScenarioError
-from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
+from freeflyer.foundation.keys import Keys
+from freeflyer.foundation.keys import read as read_keys
+from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.scenario import csv_parameters
 from freeflyer.scenario.inheritance import Raw
 from freeflyer.scenario.overrides import Changes, parse_value, plain
@@ -37,21 +49,6 @@ from freeflyer.scenario.scenario import texts
 SHIPPED = Path(__file__).parents[2] / "paper" / "sweeps"
 ONE_CASE = "scenario"
 """Name of the case in a sweep that has no table [cases]."""
-AXIS = (
-    "first",
-    "last",
-    "count",
-    "low",
-    "high",
-    "values",
-    "logarithmic",
-    "multiple_of",
-    "unit",
-    "relative",
-    "also",
-    "not_in",
-)
-"""Keys of the table of an axis. An axis with an interval may have those from `logarithmic` on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,34 +132,11 @@ def _find(name: str) -> Path:
 
 
 def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
-    known = (
-        "title",
-        "scenario",
-        "set",
-        "cases",
-        "grid",
-        "sample",
-        "vary",
-        "designs",
-        "map",
-        "evaluation",
-    )
-    _known(raw, known, "the sweep")
-    if not isinstance(raw.get("scenario"), str):
-        raise ScenarioError(
-            f"scenario is {raw.get('scenario')!r}; a shipped scenario or a .toml file beside the sweep is expected"
-        )
-    # Check the keys of the whole sweep. Then read the axes in [grid] and [sample].
-    own = raw.get("set", [])
-    if not isinstance(own, list) or not all(isinstance(text, str) for text in own):
-        raise ScenarioError(f"set is {own!r}; a list of 'COMPONENT.PARAMETER=VALUE' is expected")
-    title = raw.get("title", path.stem)
-    if not isinstance(title, str):
-        raise ScenarioError(f"title is {title!r}; a text is expected")
+    given = read_keys(raw, SWEEP, ScenarioError, where=" in the sweep")
     grid, varied_alone = (
         tuple(
-            _grid_axis(target, value, f"[{key}]")
-            for target, value in _targets(_table(raw, key), f"[{key}]")
+            _axis(target, value, f"[{key}] {target}", GRID_INTERVAL)
+            for target, value in _targets(given[key], f"[{key}]")
         )
         for key in ("grid", "vary")
     )
@@ -171,8 +145,7 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
             "[vary] changes one parameter at a time; remove [vary], or remove [grid], [sample] and [map]"
         )
     named = {
-        name: _case("designs", name, table, path.parent)
-        for name, table in _table(raw, "designs").items()
+        name: _case("designs", name, table, path.parent) for name, table in given["designs"].items()
     }
     if named and (grid or varied_alone or "sample" in raw or "map" in raw):
         raise ScenarioError(
@@ -183,21 +156,15 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
         if named
         else OneAtATime(axes=varied_alone)
         if varied_alone
-        else Designs(grid=grid, sample=_sample(_table(raw, "sample")) if "sample" in raw else None)
+        else Designs(grid=grid, sample=_sample(given["sample"]) if "sample" in raw else None)
     )
     if not designs.axes:
         raise ScenarioError(
             "the sweep varies no parameter; a [grid], a [sample], a [vary] with parameters, or [designs.NAME] is expected"
         )
-    evaluation = raw.get("evaluation")
-    if evaluation is not None and not (isinstance(evaluation, str) and ":" in evaluation):
-        raise ScenarioError(
-            f"evaluation is {evaluation!r}; 'FILE.py:OBJECT' or 'MODULE:OBJECT' is expected"
-        )
     # A parameter may be set in only one place: an axis, a case, or `--set`.
     cases = {
-        name: _case("cases", name, table, path.parent)
-        for name, table in _table(raw, "cases").items()
+        name: _case("cases", name, table, path.parent) for name, table in given["cases"].items()
     } or {ONE_CASE: {}}
     for axis in designs.axes:
         for name in axis.not_in:
@@ -215,15 +182,16 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
             raise ScenarioError(
                 f"{text}: {text.partition('=')[0].strip()} is varied by the sweep; remove this setting or the axis of the sweep"
             )
+    evaluation = given["evaluation"]
     return Sweep(
         name=path.stem,
-        title=title,
+        title=path.stem if given["title"] is None else given["title"],
         path=path,
-        scenario=raw["scenario"],
-        settings=(*own, *settings),
+        scenario=given["scenario"],
+        settings=(*given["set"], *settings),
         cases=cases,
         designs=designs,
-        map=_map(_table(raw, "map"), grid) if "map" in raw else None,
+        map=_map(given["map"], grid) if "map" in raw else None,
         evaluation=evaluation
         if evaluation is None or not evaluation.rpartition(":")[0].endswith(".py")
         else str((path.parent / evaluation).absolute()),
@@ -249,129 +217,80 @@ def _case(kind: str, name: str, table: object, folder: Path) -> Mapping[str, Any
     return csv_parameters.expanded(values, folder, f"[{kind}.{name}] ")
 
 
-def _grid_axis(target: Target, value: Any, table: str) -> Axis:
-    where = f"{table} {target}"
-    if not isinstance(value, dict) or "values" in value:
-        return _levels(target, value, where)
-    _known(value, ("first", "last", "count", *AXIS[6:]), where)
-    count = value.get("count")
-    if isinstance(count, bool) or not isinstance(count, int) or count < 2:
-        raise ScenarioError(
-            f"{where}: count is {count!r}; at least 2 values are expected (use a list for a single value)"
-        )
-    interval = _interval(value, "first", "last", where)
-    return Axis(target=target, source=interval.spread(count), **_rest(value, where))
-
-
 def _sample(raw: Raw) -> Sample:
-    _known(raw, ("method", "count", "seed", "parameters"), "[sample]")
-    method, count, seed = raw.get("method", "latin_hypercube"), raw.get("count"), raw.get("seed", 1)
-    if method not in get_args(Method):
-        known = get_args(Method)
+    given = read_keys(raw, SAMPLE, ScenarioError, subject="[sample] ", where=" in [sample]")
+    method, known = given["method"], get_args(Method)
+    if method not in known:
         raise ScenarioError(
             f"[sample] method is {method!r}; one of {', '.join(known)} is expected{did_you_mean(str(method), known)}"
         )
-    for key, number, least in (("count", count, 1), ("seed", seed, 0)):
-        if isinstance(number, bool) or not isinstance(number, int) or number < least:
-            raise ScenarioError(
-                f"[sample] {key} is {number!r}; a whole number of at least {least} is expected"
-            )
-    parameters = _table(raw, "parameters")
     axes = tuple(
-        _sampled_axis(target, value)
-        for target, value in _targets(parameters, "[sample.parameters]")
+        _axis(target, value, f"[sample.parameters] {target}", SAMPLED_INTERVAL)
+        for target, value in _targets(given["parameters"], "[sample.parameters]")
     )
     if not axes:
         raise ScenarioError(
             "[sample] has no parameters; at least one target in [sample.parameters] is expected"
         )
-    return Sample(method=method, count=count, seed=seed, axes=axes)  # type: ignore[arg-type]  # checked above
+    return Sample(method=method, count=given["count"], seed=given["seed"], axes=axes)
 
 
-def _sampled_axis(target: Target, value: Any) -> Axis:
-    where = f"[sample.parameters] {target}"
-    if not isinstance(value, dict) or "values" in value:
-        return _levels(target, value, where)
-    _known(value, ("low", "high", *AXIS[6:]), where)
-    return Axis(target=target, source=_interval(value, "low", "high", where), **_rest(value, where))
+def _axis(target: Target, value: Any, where: str, interval: Keys) -> Axis:
+    """Return an axis. `value` is a list, or a table with a list or an interval.
 
-
-def _levels(target: Target, value: Any, where: str) -> Axis:
+    `interval` are the keys of a table with an interval. `where` is the prefix of error messages.
+    """
     table = value if isinstance(value, dict) else {"values": value}
-    _known(table, ("values", "unit", "relative", "also", "not_in"), where)
-    values = table["values"]
-    if not isinstance(values, list) or not values:
+    keys = LEVELS if "values" in table else interval
+    given = read_keys(table, keys, ScenarioError, subject=f"{where}: ", where=f" in {where}")
+    values = given.get("values", [])
+    if keys is LEVELS and (not isinstance(values, list) or not values):
         raise ScenarioError(
             f"{where} is {value!r}; a list with at least one value is expected, or a table with such a list"
         )
+    unit, relative = given["unit"], given["relative"]
+    if unit is not None and relative:
+        raise ScenarioError(f"{where}: unit is {unit!r}; {UNIT}")
+    if (unit is not None or relative) and not all(_is_number(item) for item in values):
+        raise ScenarioError(
+            f"{where} is {values!r}; numbers are expected, because the axis has a unit or is relative"
+        )
     return Axis(
         target=target,
-        source=Levels(values=tuple(_value(item) for item in values)),
-        **_rest(table, where, values),
+        source=Levels(values=tuple(map(_value, values))) if values else _interval(given, where),
+        unit=unit,
+        relative=relative,
+        also=tuple(map(Target.parse, given["also"])),
+        not_in=tuple(given["not_in"]),
     )
 
 
-def _interval(value: Raw, low: str, high: str, where: str) -> Interval:
-    for key in (low, high):
-        if not _is_number(value.get(key)):
-            raise ScenarioError(f"{where}: {key} is {value.get(key)!r}; a number is expected")
-    if "multiple_of" in value and not _is_number(value["multiple_of"]):
-        raise ScenarioError(
-            f"{where}: multiple_of is {value['multiple_of']!r}; a number is expected"
-        )
-    if "multiple_of" in value and value.get("relative"):
+def _interval(given: Raw, where: str) -> Interval | Levels:
+    """Return the interval of an axis. In a grid, return its values."""
+    if given["multiple_of"] is not None and given["relative"]:
         raise ScenarioError(
             f"{where}: multiple_of and relative are both set; remove one of these keys, because factors are not rounded"
         )
+    low, high = (given[key] for key in (("first", "last") if "first" in given else ("low", "high")))
     try:
-        return Interval(
-            low=float(value[low]),
-            high=float(value[high]),
-            logarithmic=_switch(value, "logarithmic", where),
-            multiple_of=value.get("multiple_of"),
+        interval = Interval(
+            low=float(low),
+            high=float(high),
+            logarithmic=given["logarithmic"],
+            multiple_of=given["multiple_of"],
         )
     except ScenarioError as error:
         raise ScenarioError(f"{where}: {error}") from error
-
-
-def _rest(value: Raw, where: str, values: Sequence[Any] = ()) -> dict[str, Any]:
-    """Return the options that all axes have: unit, relative, also, not_in.
-
-    `value` is the table of the axis. `values` is its list of values; it is empty for an interval.
-    `where` is the prefix of error messages.
-    """
-    unit, relative = value.get("unit"), _switch(value, "relative", where)
-    if unit is not None and (not isinstance(unit, str) or relative):
-        raise ScenarioError(
-            f"{where}: unit is {unit!r}; the name of a unit is expected (a relative axis must have no unit)"
-        )
-    if (unit is not None or relative) and not all(_is_number(item) for item in values):
-        raise ScenarioError(
-            f"{where} is {list(values)!r}; numbers are expected, because the axis has a unit or is relative"
-        )
-    also = value.get("also", [])
-    if not isinstance(also, list) or not all(isinstance(text, str) for text in also):
-        raise ScenarioError(
-            f"{where}: also is {also!r}; a list of 'COMPONENT.PARAMETER' is expected"
-        )
-    not_in = value.get("not_in", [])
-    if not isinstance(not_in, list) or not all(isinstance(text, str) for text in not_in):
-        raise ScenarioError(f"{where}: not_in is {not_in!r}; a list of names of cases is expected")
-    return {
-        "unit": unit,
-        "relative": relative,
-        "also": tuple(Target.parse(text) for text in also),
-        "not_in": tuple(not_in),
-    }
+    return interval.spread(given["count"]) if "count" in given else interval
 
 
 def _map(raw: Raw, grid: Sequence[Axis]) -> Map:
-    _known(raw, ("x", "y", "predict"), "[map]")
-    numeric = {
+    given = read_keys(raw, MAP, ScenarioError, subject="[map]: ", where=" in [map]")
+    numeric = [
         str(axis.target)
         for axis in grid
         if isinstance(axis.source, Levels) and all(map(_is_number, axis.source.values))
-    }
+    ]
     for key in ("x", "y"):
         if raw.get(key) not in numeric:
             raise ScenarioError(
@@ -382,7 +301,7 @@ def _map(raw: Raw, grid: Sequence[Axis]) -> Map:
         raise ScenarioError(
             f"[map] x and y are both {raw['x']}; two targets of the grid are expected"
         )
-    return Map(x=raw["x"], y=raw["y"], predict=_switch(raw, "predict", "[map]"))
+    return Map(x=raw["x"], y=raw["y"], predict=given["predict"])
 
 
 def _reject_duplicates(axes: Sequence[Axis], cases: Mapping[str, Mapping[str, Any]]) -> None:
@@ -432,22 +351,3 @@ def _value(item: Any) -> Any:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _switch(raw: Raw, key: str, where: str) -> bool:
-    value = raw.get(key, False)
-    if not isinstance(value, bool):
-        raise ScenarioError(f"{where}: {key} is {value!r}; true or false is expected")
-    return value
-
-
-def _table(raw: Raw, key: str) -> Raw:
-    value = raw.get(key, {})
-    if not isinstance(value, dict):
-        raise ScenarioError(f"{key!r} is {value!r}; a table is expected")
-    return value
-
-
-def _known(raw: Raw, keys: Sequence[str], where: str) -> None:
-    for key, hint in unknown_keys(raw, keys):
-        raise ScenarioError(f"unknown key {key!r} in {where}{hint}")
