@@ -46,7 +46,7 @@ def errors(runs: Sequence[tuple[Array, Mapping[str, Array]]], labels: Sequence[s
             for line, text in zip(*axes.get_legend_handles_labels(), strict=True)
         }
         figure.legend(handles.values(), handles, loc="outside upper center", ncols=2, frameon=False)
-    plt.close(figure)  # pyplot forgets the figure; the caller owns it
+    plt.close(figure)  # remove the figure from pyplot; the caller still has it
     return figure
 
 

@@ -75,5 +75,5 @@ def scan(prediction: Scan, along: AlongTrajectory | None) -> Figure:
         axes.set_ylabel("growth rate [1/s]")
         axes.set_xlim(0.0, prediction.longest_s)
         axes.legend(loc="lower right")
-    plt.close(figure)  # pyplot forgets the figure; the caller owns it
+    plt.close(figure)  # remove the figure from pyplot; the caller still has it
     return figure

@@ -133,16 +133,16 @@ def sweep(
     plan = Plan(chosen, fmi)
     boundary.check(plan)
     results = Results(Path(directory or Path("freeflyer_out") / chosen.name), plan)
-    told = progress or (lambda finished, total: None)
+    report = progress or (lambda finished, total: None)
     with results.opened():
-        told(len(results.runs), len(plan))
+        report(len(results.runs), len(plan))
         interrupted = False
         if len(results.runs) < len(plan):
             from freeflyer.analysis.sweep import run
             from freeflyer.analysis.sweep.cluster import connected
 
             with connected(scheduler, workers) as client:
-                ended = run.run(plan, results, client, lambda number: told(number, len(plan)))
+                ended = run.run(plan, results, client, lambda number: report(number, len(plan)))
             interrupted = ended.interrupted
         runs = results.table() if interrupted else results.write()
     return SweepResult(plan=plan, runs=runs, directory=results.directory, interrupted=interrupted)
