@@ -10,6 +10,7 @@ import ctypes
 import itertools
 import sys
 import tempfile
+import threading
 import zipfile
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -45,6 +46,8 @@ CALLS = {
 }
 """For FMI versions 2 and 3: the FMI functions that write inputs, make a step and read outputs."""
 
+
+_LOADING = threading.Lock()
 
 # An FMI 2.0 log message is a format string with a variable number of arguments. FMPy contains a
 # C function, the logger proxy, that formats such messages and calls a logger with the result. The
@@ -123,8 +126,9 @@ class FmuComponent:
         self._check_binary(interface.modelIdentifier)
         self._directory = self._unpack()
         try:
-            # FMPy does not restore the working directory after a failed load.
-            with contextlib.chdir(Path.cwd()):
+            # FMPy changes the working directory of the process while it loads a library, and does
+            # not restore it after a failed load. Only one thread at a time may do this.
+            with _LOADING, contextlib.chdir(Path.cwd()):
                 self._slave = self._instantiate(interface.modelIdentifier)
         except BaseException:
             _remove_paths(self._directory)
