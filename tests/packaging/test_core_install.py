@@ -86,6 +86,7 @@ def test_the_core_alone_runs_audits_predicts_and_reproduces(
         "run continuous --fmi 3 --set stop_s=1 --out me",
         "audit run",
         "predict multirate_unstable",
+        "check robust",
         "export multirate_passive --out loop.ssp",
         "run loop.ssp --out ssp",
         "reproduce --out reproduce",
@@ -96,6 +97,9 @@ def test_the_core_alone_runs_audits_predicts_and_reproduces(
     read = "import pandas; print(pandas.read_parquet('run/record.parquet').attrs['units']['time'])"
     found = run(str(environment / "bin/python"), "-I", "-c", read, folder=environment.parent)
     assert found == "s\n"
+    example = Path(__file__).parents[2] / "examples" / "two_periods.py"
+    run(str(environment / "bin/python"), "-I", str(example), folder=environment.parent)
+    assert (environment.parent / "two_periods.png").stat().st_size > 10_000
     # Other commands report the extra that they need.
     for extra, commands in NEEDS.items():
         for arguments in commands:
