@@ -3,6 +3,7 @@
 The script is a controller of its own: it answers each state frame of the arm with one command. The
 same script would move a real arm with this protocol (docs/interface_control_document.md). Read
 docs/safety.md before you try.
+This example needs the extra `hil`.
 """
 
 import binascii

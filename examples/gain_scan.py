@@ -1,4 +1,7 @@
-"""Scan the stiffness of the base over its period, on all cores, and save the stability map."""
+"""Scan the stiffness of the base over its period, on all cores, and save the stability map.
+
+This example needs the extra `sweep`.
+"""
 
 import freeflyer as ff
 
@@ -6,7 +9,7 @@ result = ff.sweep(
     {
         "title": "Stiffness of the base's rotation over T_b",
         "scenario": "multirate_unstable",
-        "set": ["stop_s=30"],
+        "set": ["stop_s=100"],
         "grid": {
             "base_controller.period": {"first": 0.05, "last": 0.35, "count": 4},
             "base_controller.stiffness[4:6]": [10.0, 20.0, 40.0, 80.0],

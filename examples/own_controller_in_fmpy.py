@@ -1,4 +1,7 @@
-"""Export an own controller as an FMU, and run it beside the free-flyer in a loop over FMPy."""
+"""Export an own controller as an FMU, and run it beside the free-flyer in a loop over FMPy.
+
+This example needs the extra `export`.
+"""
 
 from pathlib import Path
 

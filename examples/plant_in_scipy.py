@@ -1,4 +1,7 @@
-"""Integrate the free-flyer with scipy: the arm moves, and the free base turns the other way."""
+"""Integrate the free-flyer with scipy: the arm moves, and the free base turns the other way.
+
+This example needs the extra `export`.
+"""
 
 import numpy as np
 from scipy.integrate import solve_ivp

@@ -18,6 +18,7 @@ from .foundation.errors import UnknownSignal as UnknownSignal
 from .foundation.table import Table as Table
 from .master.record import Record as Record
 from .scenario.experiment import Result as Result
+from .scenario.experiment import parameters as parameters
 from .scenario.experiment import run as run
 from .scenario.scenario import Scenario as Scenario
 from .scenario.scenario import load as load

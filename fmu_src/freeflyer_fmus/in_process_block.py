@@ -16,11 +16,11 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from freeflyer.foundation.errors import ComponentError, StepFailed
+from freeflyer.foundation.errors import ComponentError, StepFailed, one_line
 from freeflyer.foundation.keys import TEXT, Key, Keys, declares, read
 from freeflyer.foundation.port import Port, input_writer, output_reader
 from freeflyer.foundation.suggestions import did_you_mean
-from freeflyer_fmus.blocks.block import Block, Requirement
+from freeflyer_fmus.blocks.block import Block, Requirement, Variable
 from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.blocks.user_block import load_block
 from freeflyer_fmus.errors import BlockError, FmuSourceError
@@ -96,6 +96,10 @@ class InProcessBlock:
                     f"there is no block {block!r}; the shipped blocks are {', '.join(BLOCKS)}{did_you_mean(block, BLOCKS)}"
                 )
             block = BLOCKS[block](robot or load_robot_file())
+        if not isinstance(block, Block):
+            raise BlockError(
+                f"the block is {one_line(repr(block), 80)} of type {type(block).__name__}; a Block or the name of a shipped block is expected"
+            )
         self.block, self.name = block, name or block.name
         self._ports = ports(block)
         self._functions = {key: _Evaluator(function) for key, function in block.functions.items()}
@@ -103,7 +107,7 @@ class InProcessBlock:
         self._vectors["output"] = np.zeros(
             sum(variable.size for variable in block.having("output"))
         )
-        self._time = 0.0
+        self._time = self._start = 0.0
         self._samples = 0
 
     @property
@@ -121,25 +125,37 @@ class InProcessBlock:
 
         Raises BlockError if the block has no such variable.
         """
+        variable = self._variable(name)
+        first = self.block.offset(name)
+        return self._vectors[variable.causality][first : first + variable.size]
+
+    def _variable(self, name: str) -> Variable:
         if name not in self.block.variables:
             raise BlockError(
                 f"block {self.name} has no variable {name!r}{did_you_mean(name, self.block.variables)}"
             )
-        variable = self.block.variables[name]
-        first = self.block.offset(name)
-        return self._vectors[variable.causality][first : first + variable.size]
+        return self.block.variables[name]
 
     def set(self, name: str, value: object) -> None:
-        """Set the value of a variable.
+        """Set a parameter, an input or a state: numbers, or the name of an option.
 
-        After initialisation, set only inputs and tunable parameters; the method does not check this
-        rule. Raises ComponentError if a value is not finite, or has the wrong size.
+        One number sets all elements. After initialisation, set only inputs and tunable parameters;
+        the method does not check this rule. Raises BlockError if the block has no such variable.
+        Raises ComponentError if it is an output, or if a value is not finite or has the wrong size.
         """
-        numbers = np.asarray(value, dtype=float)
-        size = self.value(name).size
-        if numbers.size not in (1, size):
+        variable = self._variable(name)
+        if variable.causality == "output":
+            raise ComponentError(f"{self.name}.{name} is an output, which cannot be set")
+        if variable.choices and isinstance(value, str):
+            if value not in variable.choices:
+                raise ComponentError(
+                    f"{self.name}.{name} cannot be set to {value!r}; {' or '.join(variable.choices)} is expected"
+                )
+            value = variable.choices.index(value) + 1
+        numbers = self._numbers(name, value)
+        if numbers.size not in (1, variable.size):
             raise ComponentError(
-                f"{self.name}.{name} cannot be set to {numbers.size} numbers; {size} are expected"
+                f"{self.name}.{name} cannot be set to {numbers.size} numbers; {variable.size} are expected"
             )
         if not np.isfinite(numbers).all():
             raise ComponentError(
@@ -147,14 +163,40 @@ class InProcessBlock:
             )
         self.value(name)[:] = numbers
 
+    def _numbers(self, name: str, value: object) -> Array:
+        """Return a number or a vector of numbers as an array. Raises ComponentError."""
+        try:
+            numbers = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            numbers = np.zeros((0, 0))
+        if numbers.ndim > 1:
+            raise ComponentError(
+                f"{self.name}.{name} cannot be set to {one_line(repr(value), 80)}; a number or a vector of numbers is expected"
+            )
+        return numbers
+
     @property
     def x(self) -> Array:
-        """The states (n), in the order of declaration. Assign a vector to set them."""
+        """The states (n), in the order of declaration.
+
+        Assign a vector to set them. The outputs of a continuous block are then computed again.
+        Raises ComponentError for another size.
+        """
         return self._vectors["state"].copy()
 
     @x.setter
     def x(self, values: Array) -> None:
-        self._vectors["state"][:] = values
+        self._vectors["state"][:] = self._states(values)
+        if not self.block.is_sampled:
+            self._outputs()
+
+    def _states(self, values: Array) -> Array:
+        states = self._numbers("x", values)
+        if states.shape != self._vectors["state"].shape:
+            raise ComponentError(
+                f"{self.name}.x cannot be set to {states.size} numbers; {self._vectors['state'].size} are expected"
+            )
+        return states
 
     # Life cycle
 
@@ -261,11 +303,14 @@ class InProcessBlock:
     def derivatives(self, time: float, x: Array) -> Array:
         """Return dx/dt (n) of a continuous block for states x (n), and the inputs that are set.
 
-        Raises BlockError for a sampled block.
+        Raises BlockError for a sampled block, ComponentError for another size of `x`.
         """
+        self._check_continuous()
+        return self._rates(time, self._states(x))
+
+    def _check_continuous(self) -> None:
         if self.block.is_sampled:
             raise BlockError(f"block {self.name} is sampled and has no derivatives; call `step`")
-        return self._rates(time, x)
 
     def linearise(self) -> Linearisation:
         """Return the matrices at the present time, states and inputs, exact to rounding."""
@@ -281,7 +326,11 @@ class InProcessBlock:
         return Linearisation(A=A, B=B, C=C, D=D)
 
     def rates(self) -> Array:
-        """Return dx/dt of a continuous block at its present time, inputs and states."""
+        """Return dx/dt (n) of a continuous block at its present time, inputs and states.
+
+        Raises BlockError for a sampled block.
+        """
+        self._check_continuous()
         return self._rates(self._time, self._vectors["state"])
 
     def _rates(self, t: float, x: Array) -> Array:

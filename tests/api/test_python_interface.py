@@ -2,49 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import freeflyer as ff
-from freeflyer.cli import main as command
 from freeflyer_adapters import DeviceError, VirtualFacility
 from freeflyer_fmus import BlockError, InProcessBlock
-
-
-def without_times(path: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return {key: value for key, value in content.items() if key != "wall_s"}
-
-
-def test_a_script_and_the_command_write_the_same_files(tmp_path: Path) -> None:
-    changes = {"stop_s": 4.0, "base_controller.period": "0.2 s"}
-    run = ff.run("multirate_passive", changes)
-    run.write(tmp_path / "script")
-    ff.audit(run).write(tmp_path / "script")
-    settings = ["--set", "stop_s=4", "--set", "base_controller.period=0.2 s"]
-    out = tmp_path / "command"
-    assert command.call(["run", "multirate_passive", *settings, "--out", str(out)]) == 0
-    assert command.call(["audit", str(out)]) == 0
-    for name in ("record.parquet", "energy_audit.json", "energy_audit.pdf"):
-        assert (tmp_path / "script" / name).read_bytes() == (out / name).read_bytes(), name
-    summaries = [without_times(tmp_path / side / "summary.json") for side in ("script", "command")]
-    assert summaries[0] == summaries[1]
-
-
-def test_two_threads_that_run_one_scenario_get_the_same_bits() -> None:
-    loop, folder = ff.load("robust", {"stop_s": 0.2}), Path.cwd()
-    with ThreadPoolExecutor(4) as pool:
-        runs = list(pool.map(ff.run, [loop] * 24))
-    tables = [run.record.to_pandas() for run in runs]
-    assert all(table.equals(tables[0]) for table in tables)
-    assert Path.cwd() == folder  # FMPy changes it while it loads a library
 
 
 def test_a_changed_scenario_is_the_scenario_with_these_changes() -> None:
@@ -79,6 +46,33 @@ def test_a_mistake_is_one_exception_with_one_sentence(mistake: str) -> None:
         ff.run(ff.load("multirate_passive", {"stop_s": 1.0}), changes)  # type: ignore[arg-type]
     assert expected in str(found.value)
     assert "\n" not in str(found.value)
+
+
+def test_a_text_with_a_unit_is_a_value_everywhere(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'extends = "robust"\n[components.base_controller.parameters]\nperiod = "500 ms"\n'
+    )
+    assert ff.parameters(str(file), {"stop_s": "1 s"})["base_controller.period"] == 0.5
+    assert ff.load("robust", {"stop_s": "500 ms"}).stop == 500_000_000
+    with pytest.raises(ff.CosimError, match="did you mean 'stop_s'"):
+        ff.load("robust", {"stop": 3.0})
+    file.write_text('extends = "robust"\n[components.base_contoller.parameters]\nperiod = 0.5\n')
+    with pytest.raises(ff.CosimError, match="did you mean 'base_controller'"):
+        ff.load(str(file))
+
+
+def test_a_scenario_shares_no_table_with_another_one() -> None:
+    ff.load("multirate_passive").components[0].parameters["bogus"] = 1  # type: ignore[index]
+    assert not ff.load("multirate_passive").components[0].parameters
+
+
+def test_the_last_progress_is_the_simulated_time() -> None:
+    seen: list[float] = []
+    run = ff.run("multirate_passive", {"stop_s": 1.0}, progress=seen.append)
+    assert seen[-1] == run.outcome.simulated == 1.0
+    wrench = run.record["base_controller.base_wrench"]
+    assert np.array_equal(run.record["base_controller.base_wrench[2]"], wrench[:, 1])
 
 
 def test_results_do_not_need_their_files(tmp_path: Path) -> None:
@@ -167,7 +161,7 @@ def test_mistakes_with_a_block_are_one_sentence() -> None:
         InProcessBlock("base_controller").derivatives(0.0, np.zeros(6))
 
 
-def test_a_facility_that_cannot_start_says_why() -> None:
+def test_a_facility_that_cannot_start_gives_the_reason() -> None:
     with pytest.raises(DeviceError, match=r"has no \[devices.NAME\]"), VirtualFacility("robust"):
         pass
     with pytest.raises(ff.CosimError, match="a mapping"):

@@ -1,10 +1,15 @@
-"""The virtual facility as a process of its own, for a script."""
+"""The virtual facility as a process of its own, for a script.
+
+`python -m` with this module runs the command `freeflyer facility`, until the script closes the pipe
+on stdin or ends. Therefore no facility remains after a script that was killed.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import queue
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,7 +19,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Self
 
+from freeflyer.cli.main import main
 from freeflyer.foundation.extras import EXTRAS, require
+from freeflyer.foundation.file_name import text_of
 from freeflyer.scenario.overrides import Changes
 from freeflyer.scenario.scenario import texts
 from freeflyer_adapters.foundation.errors import DeviceError
@@ -37,16 +44,17 @@ class VirtualFacility:
         self, scenario: str | os.PathLike[str] = "facility", changes: Changes = ()
     ) -> None:
         self._settings = [part for text in texts(changes) for part in ("--set", text)]
-        self._scenario = os.fspath(scenario)
+        self._scenario = text_of(scenario, "the scenario", DeviceError)
         self.lines: list[str] = []
         self.report: dict[str, Any] = {}
 
     def __enter__(self) -> Self:
         require("VirtualFacility", EXTRAS["hil"])
         self._folder = TemporaryDirectory(prefix="freeflyer-facility-")
-        command = (sys.executable, "-P", "-m", "freeflyer", "facility", self._scenario)
+        command = (sys.executable, "-P", "-m", __name__, "facility", self._scenario)
         self._process = subprocess.Popen(
             [*command, *self._settings, "--out", self._folder.name],
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -89,6 +97,8 @@ class VirtualFacility:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        assert self._process.stdin is not None
+        self._process.stdin.close()
         file = Path(self._folder.name) / "facility.json"
         if file.is_file():
             self.report = json.loads(file.read_text(encoding="utf-8"))
@@ -101,3 +111,24 @@ class VirtualFacility:
                 self.lines.append(line.rstrip("\n"))
                 self._new.put(self.lines[-1])
         self._new.put(None)
+
+
+def _facility_of_a_script() -> int:
+    """Run the facility. If the script ends first, end in order, and remove the folder."""
+    alone = threading.Event()
+
+    def follow() -> None:
+        os.read(0, 1)  # returns when the script has closed the pipe, or has ended
+        alone.set()
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=follow, daemon=True).start()
+    try:
+        return main()
+    finally:
+        if alone.is_set():
+            shutil.rmtree(sys.argv[-1], ignore_errors=True)
+
+
+if __name__ == "__main__":
+    sys.exit(_facility_of_a_script())

@@ -46,8 +46,8 @@ CALLS = {
 }
 """For FMI versions 2 and 3: the FMI functions that write inputs, make a step and read outputs."""
 
-
 _LOADING = threading.Lock()
+"""Lock for loading a library. Meanwhile FMPy changes the working directory of the process."""
 
 # An FMI 2.0 log message is a format string with a variable number of arguments. FMPy contains a
 # C function, the logger proxy, that formats such messages and calls a logger with the result. The

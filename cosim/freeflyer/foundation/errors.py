@@ -43,8 +43,8 @@ class OutputError(CosimError):
     exit_code = STOPPED
 
 
-class StepFailed(Exception):
-    """A component failed in a step. The run stops and keeps the results up to this step.
+class StepFailed(CosimError):
+    """A component failed in a step. A run stops and keeps the results up to this step.
 
     `reason` is the message without the name of the component.
 

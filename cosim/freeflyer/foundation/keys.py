@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Mapping
+from copy import copy
 from dataclasses import field, fields
 from types import UnionType
 from typing import Any, NamedTuple, TypeVar
@@ -135,7 +136,7 @@ def read(
     """
     for name, hint in unknown_keys(raw, keys, others):
         raise fail(f"{prefix}{unknown.format(name=name)}{where}{hint}")
-    values = {name: raw.get(name, key.default) for name, key in keys.items()}
+    values = {name: raw[name] if name in raw else copy(key.default) for name, key in keys.items()}
     for name, key in keys.items():
         if (name in raw or key.required) and not fits(values[name], key.type.schema):
             message = key.type.message.format(name=name, value=values[name])

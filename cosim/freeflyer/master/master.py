@@ -129,9 +129,9 @@ class Master:
                 slave.write()
                 slave.component.exit_initialization()
                 slave.read()
-            except CosimError:
-                raise
             except Exception as error:
+                if isinstance(error, CosimError) and not isinstance(error, StepFailed):
+                    raise
                 raise ComponentError(
                     f"component {name} cannot be initialised: {message_of(error)}"
                 ) from error

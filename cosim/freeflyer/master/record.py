@@ -10,7 +10,8 @@ freeflyer.origin (see `freeflyer.master.provenance`).
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 
 from freeflyer.fmi.component import Array
-from freeflyer.foundation.errors import CosimError, UnknownSignal
+from freeflyer.foundation.errors import CosimError, RecordError, UnknownSignal, one_line
 from freeflyer.foundation.extras import needed_by
 from freeflyer.foundation.output_file import write_whole
 from freeflyer.foundation.suggestions import did_you_mean
@@ -103,8 +104,12 @@ class Record:
     def __getitem__(self, name: str) -> Array:
         """Return the values of a signal. The shape is (rows, size), or (rows) for a scalar.
 
-        Raises UnknownSignal if the record does not contain the signal.
+        NAME[k] is one element (rows), counted from 1. Raises UnknownSignal if the record does not
+        contain the signal.
         """
+        base, bracket, _ = str(name).partition("[")
+        if bracket and base in self.signals and name in self.signals[base].columns:
+            return self[base][:, self.signals[base].columns.index(name)]
         if name not in self.signals:
             raise UnknownSignal(
                 f"the record has no signal {name!r}; `record.signals` lists its signals{did_you_mean(str(name), self.signals)}"
@@ -115,6 +120,10 @@ class Record:
 
     def __contains__(self, name: str) -> bool:
         return name in self.signals
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names of the signals."""
+        return iter(self.signals)
 
     @property
     def units(self) -> dict[str, str]:
@@ -127,12 +136,21 @@ class Record:
         return {"time": "s", **named}
 
     @classmethod
-    def read(cls, path: Path) -> Record:
+    def read(cls, path: str | os.PathLike[str]) -> Record:
         """Read a file that `write` has written. Nothing in the file is executed.
 
-        Raises OSError or pyarrow.ArrowException if the file cannot be read. Raises ValueError,
-        TypeError or LookupError if the file is not a record.
+        Raises RecordError if the file cannot be read, or if it is not a record.
         """
+        try:
+            return cls._read(path)
+        except (OSError, pa.ArrowException, ValueError, TypeError, LookupError) as error:
+            reason = getattr(error, "strerror", None) or one_line(error)
+            raise RecordError(
+                f"{path} cannot be read as a record of `freeflyer run`: {reason}"
+            ) from error
+
+    @classmethod
+    def _read(cls, path: str | os.PathLike[str]) -> Record:
         with parquet.ParquetFile(path) as file:
             rows, columns = file.metadata.num_rows, file.metadata.num_columns
             # Check the number of values before they are read: a small file can contain compressed

@@ -17,7 +17,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from freeflyer.foundation.errors import OutputError
+from freeflyer.foundation.errors import OutputError, RecordError
 from freeflyer.foundation.exit_codes import DONE, STOPPED
 from freeflyer.master.master import Outcome
 from freeflyer.master.record import Record
@@ -60,7 +60,7 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
     try:
         summary = json.loads((directory / "summary.json").read_text())
         record = Record.read(directory / "record.parquet")
-    except OSError as error:
+    except (OSError, RecordError) as error:
         raise OutputError(
             f"the loop of {scenario.name} wrote no result: {loop.stderr.strip() or error}"
         ) from error

@@ -9,13 +9,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from freeflyer.fmi.component import Array, Port
 from freeflyer.foundation.clock import seconds
+from freeflyer.foundation.errors import CosimError
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.output_file import write_text
 from freeflyer.foundation.table import Shown, Table
@@ -152,15 +153,36 @@ def run(
     exception. It is then in `outcome` of the result.
     """
     scenario = loaded(scenario, changes)
+    if engine not in get_args(Engine):
+        raise CosimError(
+            f"engine is {engine!r}; {' or '.join(map(repr, get_args(Engine)))} is expected"
+        )
     with assembled(scenario, fmi) as (master, values):
         metrics.check(scenario, master.graph.components)
         # If Ctrl-C ends the simulation, the results up to then are kept and summarised.
         with interrupts():
             outcome = native.run(master, progress) if engine == "core" else master.run(progress)
+            if progress is not None:
+                progress(outcome.simulated)
             outcome.record.provenance = provenance(scenario, master, values)
             series = metrics.errors(scenario, outcome.record, master.graph.components, values)
             summary = metrics.summary(scenario, outcome, series)
     return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)
+
+
+def parameters(
+    scenario: Scenario | str | os.PathLike[str], changes: Changes = ()
+) -> dict[str, Any]:
+    """Return all parameters of a scenario: {"manipulator_controller.stiffness": [500.0, ...], ...}.
+
+    The values are those that a run uses, after `changes` and all references: numbers, lists,
+    Booleans, and names of enumeration values, in the units of docs/fmu_variables.md. Raises
+    CosimError.
+    """
+    chosen = loaded(scenario, changes)
+    with assembled(chosen) as (master, values):
+        found = provenance(chosen, master, values).parameters
+    return {f"{name}.{key}": value for name, own in found.items() for key, value in own.items()}
 
 
 def provenance(scenario: Scenario, master: Master, values: Values) -> Provenance:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from freeflyer.foundation import toml_file
-from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.errors import ScenarioError, one_line
 from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.units import converted, factor
 from freeflyer.scenario.inheritance import Raw
 
 Changes = Mapping[str, object] | Sequence[str]
@@ -18,6 +20,10 @@ Changes = Mapping[str, object] | Sequence[str]
 
 A value is a number, a Boolean, a text such as "300 ms" or "matched", or a list or array of numbers.
 """
+
+
+OF_RUN = ("stop_s", "exchange")
+"""Targets without a component."""
 
 
 def apply(raw: Raw, changes: Changes) -> None:
@@ -51,14 +57,16 @@ def plain(value: object, target: str, *, texts: bool = False) -> Any:
         return value if texts else parse_value(value)
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
     if isinstance(value, bool | int | float):
         return value
     if isinstance(value, list | tuple):
         return [plain(item, target, texts=texts) for item in value]
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        return {key: plain(item, target, texts=texts) for key, item in value.items()}
+        return {key: plain(item, f"{target}: {key}", texts=texts) for key, item in value.items()}
     raise ScenarioError(
-        f"{target} is {value!r} of type {type(value).__name__}; a number, a Boolean, a text or a list is expected"
+        f"{target} is {one_line(repr(value), 80)} of type {type(value).__name__}; a number, a Boolean, a text or a list is expected"
     )
 
 
@@ -84,12 +92,12 @@ def assign(raw: Raw, target: str, value: Any, where: str) -> None:
     if value is not None and component in ("devices", "facility", "record"):
         _assign_in_table(raw, where, target.split("."), value)
         return
-    if value is not None and target in ("stop_s", "exchange"):
-        raw[target] = value
+    if value is not None and target in OF_RUN:
+        raw[target] = _in_seconds(value, where) if target == "stop_s" else value
         return
     if value is None or not component or not parameter:
         raise ScenarioError(
-            f"{where}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1"
+            f"{where}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1{did_you_mean(target, OF_RUN)}"
         )
     if component == "robot" and component not in components:
         _assign_in_table(raw, where, [component, parameter], value)
@@ -103,6 +111,16 @@ def assign(raw: Raw, target: str, value: Any, where: str) -> None:
         table["step_s"] = value
     else:
         _inner(table, "parameters", where)[parameter] = value
+
+
+def _in_seconds(value: Any, where: str) -> Any:
+    """Return a time with a unit in s, and any other value unchanged."""
+    if not isinstance(value, dict) or value.keys() != {"value", "unit"}:
+        return value
+    try:
+        return converted(value["value"], factor(value["unit"], "s"))
+    except ValueError as error:
+        raise ScenarioError(f"{where}: {error}") from error
 
 
 def _inner(table: Raw, key: str, where: str) -> Raw:

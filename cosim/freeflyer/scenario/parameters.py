@@ -14,6 +14,7 @@ from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import DIMENSIONLESS, converted, factor, same
+from freeflyer.scenario.overrides import parse_value
 from freeflyer.scenario.scenario import Scenario
 
 Values = dict[str, dict[str, Array]]
@@ -145,6 +146,8 @@ def _numbers(value: Any, port: Port, subject: str) -> Array:
             )
         scale = np.array([_factor(value["unit"], unit, subject) for unit in port.units])
         value = value["value"]
+    if isinstance(value, str) and port.real and isinstance(parse_value(value), dict):
+        return _numbers(parse_value(value), port, subject)  # "300 ms"
     if isinstance(value, str):
         if value not in port.choices:
             raise ScenarioError(

@@ -27,6 +27,7 @@ from typing import Any, Literal, get_args
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.clock import nanoseconds, shown
 from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.keys import fits, read, table_schema
 from freeflyer.foundation.signal_name import component_of, split_connection
 from freeflyer.foundation.suggestions import did_you_mean
@@ -160,7 +161,7 @@ def load(name: str | os.PathLike[str], changes: Changes = ()) -> Scenario:
     list of texts "base_controller.period=0.1 s". A number without a unit is in the unit of the
     parameter (SI; docs/fmu_variables.md). Raises ScenarioError.
     """
-    return from_tables(*tables(os.fspath(name), changes))
+    return from_tables(*tables(text_of(name, "the scenario", ScenarioError), changes))
 
 
 def loaded(scenario: Scenario | str | os.PathLike[str], changes: Changes = ()) -> Scenario:
@@ -275,7 +276,8 @@ class _Reader:
 
         # The components are read first, because devices and roles refer to components.
         components = tuple(
-            self.component(name, table) for name, table in given["components"].items()
+            self.component(name, table, given["components"])
+            for name, table in given["components"].items()
         )
         if not components:
             raise self.fail("there are no components; at least one [components.NAME] is expected")
@@ -310,7 +312,7 @@ class _Reader:
             source=to_toml(raw),
         )
 
-    def component(self, name: str, raw: object) -> ComponentSpec:
+    def component(self, name: str, raw: object, others: Iterable[str] = ()) -> ComponentSpec:
         if not isinstance(raw, dict):
             raise self.fail(f"components.{name} is {raw!r}; a table is expected")
         if not name.isidentifier():
@@ -318,8 +320,10 @@ class _Reader:
                 f"component {name!r}: a name of letters, digits and underscores is expected"
             )
         if "step_s" not in raw:
+            hint = did_you_mean(name, (other for other in others if other != name))
             raise self.fail(
                 f"component {name} has no step_s; its communication step in seconds is expected"
+                + (hint if hint.startswith("; did") else "")
             )
         common = {key: value for key, value in raw.items() if key in COMPONENT}
         given = read(common, COMPONENT, self.fail, subject=f"component {name}: ")

@@ -28,6 +28,7 @@ from freeflyer.fmi.component import Port
 from freeflyer.fmi.fmu_description import describe_fmu, ports_of
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import DIMENSIONLESS, same
 from freeflyer.scenario.inheritance import Raw
@@ -64,8 +65,9 @@ def load_ssp(
     """
     if step is not None and not 0.0 < step < float("inf"):
         raise ScenarioError(f"--step {step:g}: a time above zero is expected")
+    file = Path(text_of(path, "the SSP file", ScenarioError))
     unpacked = TemporaryDirectory(prefix="freeflyer-")
-    found = read(Path(path), Path(unpacked.name), step=step, overrides=changes)
+    found = read(file, Path(unpacked.name), step=step, overrides=changes)
     return replace(found, keeps=unpacked)
 
 

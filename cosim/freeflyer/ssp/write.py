@@ -25,6 +25,7 @@ from freeflyer.fmi.component import Array, Port
 from freeflyer.fmi.fmu import FmuComponent
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import ComponentError, ScenarioError
+from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.reproducible_zip import write_zip
 from freeflyer.foundation.signal_name import split
 from freeflyer.scenario.assemble import System, loaded
@@ -45,7 +46,7 @@ def write_ssp(
     `path` ends in .ssp. `fmi` is the FMI version of the shipped FMUs: 2 for SSP 1.0, 3 for SSP 2.0
     (default: that of the scenario, otherwise 2). Returns the assembled system. Raises CosimError.
     """
-    file = Path(path)
+    file = Path(text_of(path, "the SSP file", ScenarioError))
     if file.suffix != ".ssp":
         raise ScenarioError(f"--out {file}: a file name that ends in .ssp is expected")
     with loaded(scenario, fmi) as system:

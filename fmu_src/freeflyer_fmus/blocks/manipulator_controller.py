@@ -86,7 +86,7 @@ def manipulator_controller(robot: Robot) -> Block:
     p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
     R_bd = block.parameter("orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True)
     weight = block.parameter(
-        "angular_velocity_weight", 1.0, "m/rad", "Weight of w in |v|^2 of observer `reference`", tunable=True, above=0.0
+        "angular_velocity_weight", 1.0, "m/rad", "Weight of w in the squared speed of observer `reference`", tunable=True, above=0.0
     )
     tau_f = block.parameter("filter_time", 0.0, "s", "Time constant of the filtered outputs (0: no filter)", minimum=0.0)
     without_lag = block.switch("filter_without_lag", False, "Use the velocities in the filter of the errors: the filtered errors then do not lag")

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from freeflyer.foundation.file_name import text_of
 from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.blocks.user_block import load_block
@@ -38,7 +39,7 @@ def load_robot(
     inertia of `tool_link` become FMU parameters. `lock` fixes joints at positions [rad or m], and
     `posture` has the start positions [rad or m] of the free joints. Raises RobotError.
     """
-    path = robot_path(os.fspath(source))
+    path = robot_path(text_of(source, "the robot", RobotError))
     given = [base_link, end_effector, tool_link, posture, *(lock or ())]
     if path.suffix != ".toml":
         return load_urdf(
@@ -96,16 +97,20 @@ def export_fmus(
     robot: Robot | None = None,
     block: Block | str | os.PathLike[str] | None = None,
     *,
-    platforms: str = "host",
+    platforms: str | Sequence[str] = "host",
 ) -> dict[str, dict[int, Path]]:
     """Build FMUs into `directory`, and return their paths: {"free_flyer": {2: ..., 3: ...}}.
 
     The keys of the inner mapping are the FMI versions. `robot` is a result of `load_robot`
     (default: the LWR 4+ with six joints). `block` is one block, or a file FILE.py with the function
-    block(robot) -> Block (default: all shipped blocks). `platforms` is a list of names separated by
-    commas: host, all, sources, or those of docs/fmus.md. Raises FmuSourceError.
+    block(robot) -> Block (default: all shipped blocks). `platforms` is a list of names, or a text
+    with names separated by commas: host, all, sources, or those of docs/fmus.md. Raises
+    FmuSourceError, also if the dynamics of `robot` differ from Pinocchio's.
     """
-    return {made.name: paths for made, paths in exported(directory, robot, block, platforms)}
+    if robot is not None:
+        check_dynamics(robot)
+    names = platforms if isinstance(platforms, str) else ",".join(platforms)
+    return {made.name: paths for made, paths in exported(directory, robot, block, names)}
 
 
 def exported(

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from freeflyer.analysis.audit import recorded_loop, report
 from freeflyer.analysis.audit.ledger import Ledger, ledger
+from freeflyer.foundation.errors import RecordError
+from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.output_file import check_writable, write_text
 from freeflyer.foundation.table import Shown, Table
 from freeflyer.master.record import Record
@@ -67,5 +69,9 @@ def audit(source: Result | Record | str | os.PathLike[str]) -> Audit:
     """
     if isinstance(source, Result):
         source = source.record
-    record = source if isinstance(source, Record) else report.read(Path(source))
+    record = (
+        source
+        if isinstance(source, Record)
+        else report.read(Path(text_of(source, "the record", RecordError)))
+    )
     return Audit(**vars(ledger(recorded_loop.find(record))))

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from freeflyer.analysis.audit.ledger import Ledger, Port
 from freeflyer.fmi.component import Array
@@ -31,16 +30,14 @@ ENTRIES = (
 
 def read(path: Path) -> Record:
     """Read a record with provenance from its file or its directory. Raises RecordError."""
-    file = path / "record.parquet" if path.is_dir() else path
     try:
-        if not file.is_file():
-            raise RecordError(_missing(path))
-        record = Record.read(file)
-    except (OSError, pa.ArrowException, ValueError, TypeError, LookupError) as error:
-        reason = getattr(error, "strerror", None) or one_line(error)
-        raise RecordError(
-            f"{file} cannot be read as a record of `freeflyer run`: {reason}"
-        ) from error
+        file = path / "record.parquet" if path.is_dir() else path
+        found = file.is_file()
+    except (OSError, ValueError) as error:  # not a valid file name
+        raise RecordError(f"{path} cannot be read: {one_line(error)}") from error
+    if not found:
+        raise RecordError(_missing(path))
+    record = Record.read(file)
     if record.provenance is None:
         raise RecordError(
             f"{file} does not contain its provenance; use a record that this version of `freeflyer run` wrote"

@@ -38,6 +38,7 @@ from freeflyer.analysis.sweep.keys import (
 )
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.keys import Keys
 from freeflyer.foundation.keys import read as read_keys
 from freeflyer.foundation.suggestions import did_you_mean
@@ -99,7 +100,7 @@ def read(source: str | os.PathLike[str] | Mapping[str, Any], changes: Changes = 
     if isinstance(source, Mapping):
         raw = plain(source, "the sweep", texts=True)
         return _named(raw, Path("sweep.toml").absolute(), settings)
-    path = _find(os.fspath(source))
+    path = _find(text_of(source, "the sweep", ScenarioError))
     try:
         raw = toml_file.read(path)
     except OSError as error:

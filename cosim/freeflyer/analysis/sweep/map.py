@@ -80,7 +80,10 @@ def draw(
         ]
         handles = keys + panels[0][0].get_legend_handles_labels()[0]
         figure.legend(
-            handles=handles, loc="outside upper center", ncols=len(handles), frameon=False
+            handles=handles,
+            loc="outside upper center",
+            ncols=len(handles) if len(cases) > 1 else 2,
+            frameon=False,
         )
     return figure
 

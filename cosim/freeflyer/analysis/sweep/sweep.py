@@ -123,8 +123,8 @@ def sweep(
     `progress` is called with the number of finished runs and the number of all runs. Raises
     CosimError.
     """
-    if workers is not None and workers < 1:
-        raise ScenarioError(f"--workers {workers}: at least one worker is expected")
+    if workers is not None and not (isinstance(workers, int) and workers >= 1):
+        raise ScenarioError(f"--workers {workers!r}: at least one worker is expected")
     if workers is not None and scheduler is not None:
         raise ScenarioError(
             "--workers starts workers on this machine, but a scheduler already has workers: give either --workers or --scheduler"
