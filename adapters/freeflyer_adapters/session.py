@@ -18,6 +18,7 @@ from freeflyer_adapters.base.notices import notices
 from freeflyer_adapters.facility import settings as facility_settings
 from freeflyer_adapters.facility.accelerated import accelerated
 from freeflyer_adapters.facility.server import Facility
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.loop import hil
 from freeflyer_adapters.loop.graded_stop import NOTHING_ACTIVE
 from freeflyer_adapters.loop.hil import LoopReport
@@ -31,7 +32,7 @@ AFTERWARDS = 1.0
 Show = Callable[[str], None]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class LoopResult(Result):
     """Results of a run with devices.
 
@@ -75,6 +76,10 @@ def run_loop(
     Raises CosimError for an error before anything moves. A later error ends the run without an
     exception; it is the cause of the stop.
     """
+    if simulated and virtual:
+        raise DeviceError("the loop is both simulated and virtual; one of the two is expected")
+    if can_format not in FORMATS:
+        raise DeviceError(f"can_format is {can_format!r}; {' or '.join(FORMATS)} is expected")
     chosen = facility_settings.with_watchdogs(loaded(scenario, changes))
     if log_to is not None:
         check_log_to(log_to)

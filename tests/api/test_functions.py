@@ -65,6 +65,7 @@ def test_functions_and_commands_write_the_same_files(
         (lambda: ff.sweep(3), "the sweep is 3 of type int"),  # type: ignore[arg-type]
         (lambda: ff.load_ssp(3), "the SSP file is 3 of type int"),  # type: ignore[arg-type]
         (lambda: ff.write_ssp(ff.load("robust"), 3), "the SSP file is 3 of type int"),  # type: ignore[arg-type]
+        (lambda: ff.write_ssp("robusd", "a.ssp"), "did you mean 'robust'"),
         (lambda: ff.sweep({"scenario": ff.load("robust")}), "the sweep: scenario is Scenario robust"),
         (lambda: ff.Record.read("missing.parquet"), "missing.parquet cannot be read as a record"),
         (lambda: ff.Record.read(os.devnull), "/dev/null cannot be read as a record"),

@@ -224,7 +224,11 @@ def test_declared_dependencies_are_correct(robot: Robot, instance: Instance) -> 
         instance.set("waypoint_t", times)
         for column in ("x", "y", "z", "qx", "qy", "qz"):
             instance.set(f"waypoint_{column}", random.uniform(0.1, 0.2, times.size))
+    if "filter_time" in instance.references:  # the switch `filter_without_lag` needs a filter
+        instance.set("filter_time", 0.01)
     instance.initialise(0.37)
+    if "filter_time" in instance.references:  # and it acts from the second sample on
+        instance.step(0.37, 1e-3)
     choices = [v for v in block.having("parameter") if v.kind == "enumeration" and v.tunable]
     switches = [v for v in block.having("parameter") if v.kind == "boolean" and v.tunable]
     # Largest influence of each known on each unknown over random points, enumerations and switches.

@@ -51,6 +51,34 @@ MISTAKES = {
         ["multirate_unstable", "--set", "free_flyer.joint_position=0"],
         "singular value of J_m",
     ),
+    "actuators with a dead zone": (
+        ["disturbed", "--set", "base_actuators.on_off=true"],
+        "without a dead zone",
+    ),
+    "delay with another period": (
+        [
+            "disturbed",
+            *("--set", "base_command_delay.command_period=0.02"),
+            *("--set", "base_command_delay.delay=0.02"),
+        ],
+        "component base_command_delay has memory",
+    ),
+    "delay of the arm by several samples": (
+        [
+            "disturbed",
+            *("--set", "arm_command_delay.command_period=0.007"),
+            *("--set", "arm_command_delay.delay=0.007"),
+        ],
+        "component arm_command_delay has memory",
+    ),
+    "delay with a period that is a number": (
+        [
+            "disturbed",
+            *("--set", "base_command_delay.command_period=0.3"),
+            *("--set", "base_command_delay.delay=0.3"),
+        ],
+        "does not follow the period of the slow controllers",
+    ),
     "period between samples": (
         ["multirate_unstable", "--set", "base_controller.period=0.0015"],
         "0.001 s or 0.002 s would fit",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from mcap.records import Metadata
 
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import RecordError, one_line
+from freeflyer.foundation.file_name import text_of
 from freeflyer.master.record import Signal
 from freeflyer_adapters.recording.damaged_mcap import DamagedMcap, WholeMessage
 from freeflyer_adapters.recording.mcap_file import RUN, STARTED, STOP
@@ -30,7 +32,7 @@ Found = dict[tuple[str, str], tuple[str, str, list[int], list[bytes]]]
 """Maps (topic, columns) to (topic, columns, times, messages). `columns` is a text in JSON."""
 
 
-def read_recording(path: str | Path) -> pandas.DataFrame:
+def read_recording(path: str | os.PathLike[str]) -> pandas.DataFrame:
     """Read the recording at `path`: a file, or the directory of a run with all its parts.
 
     A recording consists of one or more files, its parts. The table has one row per instant. The
@@ -40,7 +42,7 @@ def read_recording(path: str | Path) -> pandas.DataFrame:
     does not contain the metadata, `run` and `stop` are empty. If a file is unfinished or damaged,
     its intact data is read. Raises RecordError if the file is not a recording of a loop.
     """
-    path = Path(path)
+    path = Path(text_of(path, "the recording", RecordError))
     found: Found = {}
     metadata: dict[str, dict[str, str]] = {RUN: {}, STOP: {}}
     try:

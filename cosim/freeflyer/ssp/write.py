@@ -30,6 +30,7 @@ from freeflyer.foundation.reproducible_zip import write_zip
 from freeflyer.foundation.signal_name import split
 from freeflyer.scenario.assemble import System, loaded
 from freeflyer.scenario.scenario import ComponentSpec, Scenario, to_toml
+from freeflyer.scenario.scenario import loaded as scenario_of
 from freeflyer.ssp.names import ANNOTATION, DESCRIPTION, FMU_TYPE, SETTINGS, STEP_ANNOTATION, tag
 
 IMPLEMENTATIONS = {"fmu": "CoSimulation", "model_exchange": "ModelExchange"}
@@ -39,16 +40,21 @@ Element = ElementTree.Element
 
 
 def write_ssp(
-    scenario: Scenario, path: str | os.PathLike[str], *, fmi: int | None = None
+    scenario: Scenario | str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    *,
+    fmi: int | None = None,
 ) -> System:
     """Write a scenario's system, with its FMUs, as one SSP file for other tools.
 
-    `path` ends in .ssp. `fmi` is the FMI version of the shipped FMUs: 2 for SSP 1.0, 3 for SSP 2.0
-    (default: that of the scenario, otherwise 2). Returns the assembled system. Raises CosimError.
+    `scenario` is a result of `load`, or its argument. `path` ends in .ssp. `fmi` is the FMI version
+    of the shipped FMUs: 2 for SSP 1.0, 3 for SSP 2.0 (default: that of the scenario, otherwise 2).
+    Returns the assembled system. Raises CosimError.
     """
     file = Path(text_of(path, "the SSP file", ScenarioError))
     if file.suffix != ".ssp":
         raise ScenarioError(f"--out {file}: a file name that ends in .ssp is expected")
+    scenario = scenario_of(scenario)
     with loaded(scenario, fmi) as system:
         write(scenario, system, file)
     return system

@@ -59,16 +59,26 @@ class LinearisedController:
         if not self.memory:
             return
         self._timed = period == self.tick and other > period
-        both = self.samples(disturbed, period, other)
+        both = self._both(disturbed, period, other)
         self._timed &= not all(map(np.array_equal, *(one.matrices for one in both)))
         self.memory = self._used(both)
+        self._timed &= bool(self.memory)
         self._bind()
 
     def samples(self, start: Start, period: int, other: int) -> tuple[Sample, Sample]:
         """Return the sample at an instant of all controllers, and the sample between such instants.
 
-        The arguments are those of `find_memory`. Raises ComponentError.
+        The arguments are those of `find_memory`. Raises ComponentError, also if the samples depend
+        on a time, but not on the time since the last sample of the slow controllers.
         """
+        both = self._both(start, period, other)
+        if self._timed and other > period and all(map(np.array_equal, *(b.matrices for b in both))):
+            raise ComponentError(
+                f"component {self.fmu.name} does not follow the period of the slow controllers; a period that refers to theirs ('=COMPONENT.PARAMETER') is expected"
+            )
+        return both
+
+    def _both(self, start: Start, period: int, other: int) -> tuple[Sample, Sample]:
         if not self.memory:
             self.fmu.restart(start)
             only = self._split(self._derivative())
@@ -89,11 +99,13 @@ class LinearisedController:
             return False
         return True
 
-    def responses(self, start: Start, period: int, count: int) -> tuple[Array, Array]:
+    def responses(
+        self, start: Start, period: int, count: int, disturbed: int
+    ) -> tuple[Array, Array]:
         """Return a disturbance of the inputs (m), and the changes of the outputs (count, p).
 
-        The inputs are disturbed for one sample, the second of the controller. The rows are the
-        changes at this sample and at the next samples. Raises ComponentError.
+        The inputs are disturbed for `disturbed` samples, from the second of the controller on. The
+        rows are the changes at this sample and at the next samples. Raises ComponentError.
         """
         sizes = [self.fmu.ports[name].size for name in self.inputs]
         u, y = np.zeros(sum(sizes)), np.zeros(sum(self.fmu.ports[n].size for n in self.outputs))
@@ -106,7 +118,7 @@ class LinearisedController:
             self._sampled(start, period, 1)
             outputs = []
             for k in range(count):
-                u[:] = rest + disturbance * (size if k == 0 else 0.0)
+                u[:] = rest + disturbance * (size if k < disturbed else 0.0)
                 write()
                 self._continued(period, k + 1, k + 2)
                 read()

@@ -274,11 +274,14 @@ class LoopModel:
                 return period
         return own
 
-    def responses(self, name: str, point: Point, count: int) -> tuple[Array, Array]:
+    def responses(self, name: str, point: Point, count: int, disturbed: int) -> tuple[Array, Array]:
         """Return the simulated response of a controller (`LinearisedController.responses`)."""
         period = self.roles.period
         return self.controllers[name].responses(
-            self._start(name, self.values(period), point), self.period_of(name, period), count
+            self._start(name, self.values(period), point),
+            self.period_of(name, period),
+            count,
+            disturbed,
         )
 
     def period_of(self, name: str, period: int) -> int:

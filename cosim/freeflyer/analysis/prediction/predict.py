@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,9 @@ class Prediction(Scan):
     def __repr__(self) -> str:
         lines = sentences.of_set_point(self)
         return "\n".join(lines + (sentences.of_trajectory(self.along) if self.along else []))
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(repr(self))}</pre>"
 
     def plot(self) -> Figure:
         """Return the figure of prediction.png: growth rate [1/s] over the base period [s]."""

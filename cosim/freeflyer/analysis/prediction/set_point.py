@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,8 +119,10 @@ def set_point(model: LoopModel) -> Point:
     point = {signal: master.value(signal).copy() for signal in model.recorded()}
     plant = model.fmus[model.roles.plant]
     model.prepare(point)
-    for law in model.loop(model.plant_at(point), point, model.roles.period).laws:
+    loop = model.loop(model.plant_at(point), point, model.roles.period)
+    for law in loop.laws:
         _check_memory(model, law, point)
+    _check_effect(model, loop)
     master.write_inputs_now(model.roles.plant)
     rates = np.abs(plant.rates())
     if rates.max() > REST:
@@ -131,20 +134,44 @@ def set_point(model: LoopModel) -> Point:
     return point
 
 
-def _check_memory(model: LoopModel, law: Law, point: Point) -> None:
-    """Disturb the inputs of a controller for one sample, and check the outputs at later samples.
+def _check_effect(model: LoopModel, loop: Loop) -> None:
+    """Raise ScenarioError if small outputs of the scanned controller do not reach the plant."""
+    without = replace(
+        loop, laws=tuple(law.each(np.zeros_like) if law.slow else law for law in loop.laws)
+    )
+    with_all, with_others = (lifting.Instants(each).feedback() for each in (loop, without))
+    if np.array_equal(with_all, with_others):
+        raise ScenarioError(
+            f"small outputs of {model.roles.scanned} have no effect on {model.roles.plant}, for example because of actuators that are on or off; "
+            f"the prediction needs actuators without a dead zone"
+        )
 
-    Raises ScenarioError if these outputs differ from those of the linearised controller.
+
+def _check_memory(model: LoopModel, law: Law, point: Point) -> None:
+    """Disturb the inputs of a controller, and check the outputs at later samples.
+
+    The inputs are disturbed for one sample. If a fast controller has a memory, they are also
+    disturbed for two periods of the slow controllers, which finds a memory that is written at other
+    instants than theirs. Raises ScenarioError if these outputs differ from those of the linearised
+    controller.
     """
     if not (law.sample.B.shape[1] and law.sample.C.shape[0]):
         return
-    disturbance, simulated = model.responses(law.name, point, SAMPLES)
+    _compare(model, law, point, SAMPLES, 1)
+    if len(law.sample.A) and not law.slow:
+        count = 2 * model.roles.period // model.roles.tick + SAMPLES
+        _compare(model, law, point, count, count)
+
+
+def _compare(model: LoopModel, law: Law, point: Point, count: int, disturbed: int) -> None:
+    """Compare `count` samples of a controller, of which the first `disturbed` are disturbed."""
+    disturbance, simulated = model.responses(law.name, point, count, disturbed)
     period, n = model.roles.period, model.roles.period // model.roles.tick
     own = model.period_of(law.name, period)
     z, expected = np.zeros(len(law.sample.A)), []
-    for k in range(SAMPLES):  # the disturbed sample is the second of the controller
+    for k in range(count):  # the first disturbed sample is the second of the controller
         one = law.sample if own == period or (k + 1) % n == 0 else law.between
-        u = disturbance * (k == 0)
+        u = disturbance * (k < disturbed)
         expected.append(one.C @ z + one.D @ u)
         z = one.A @ z + one.B @ u
     scale = MEMORY * np.abs(simulated[0]).max() + NONLINEAR * np.abs(expected[1:]).max()
@@ -154,5 +181,5 @@ def _check_memory(model: LoopModel, law: Law, point: Point) -> None:
         worst = [n for n in outputs for _ in range(model.fmus[law.name].ports[n].size)]
         raise ScenarioError(
             f"component {law.name} has memory: a disturbance of its inputs still affects its output {worst[int(unknown.argmax())]} at later "
-            f"samples; the prediction needs controllers without memory, or FMUs of this project with a linear memory, and all passivity controllers switched off"
+            f"samples in another way than predicted; the prediction needs controllers without memory, or FMUs of this project with a linear memory that is written at the instants of {model.roles.scanned} or at all instants, and all passivity controllers switched off"
         )
