@@ -61,6 +61,9 @@ def test_functions_and_commands_write_the_same_files(
         (lambda: ff.run(b"robust"), "the scenario is b'robust' of type bytes"),  # type: ignore[arg-type]
         (lambda: ff.run("robust", engine="c"), "engine is 'c'; 'core' or 'python'"),  # type: ignore[arg-type]
         (lambda: ff.predict(3), "the scenario is 3 of type int"),  # type: ignore[arg-type]
+        (lambda: ff.run("robust", progress=3), "progress is 3; a function"),  # type: ignore[arg-type]
+        (lambda: ff.predict("robust", longest="1 s"), "longest is '1 s'; a number"),  # type: ignore[arg-type]
+        (lambda: ff.describe_fmu("no.fmu"), "no.fmu"),
         (lambda: ff.audit(3), "the record is 3 of type int"),  # type: ignore[arg-type]
         (lambda: ff.sweep(3), "the sweep is 3 of type int"),  # type: ignore[arg-type]
         (lambda: ff.load_ssp(3), "the SSP file is 3 of type int"),  # type: ignore[arg-type]

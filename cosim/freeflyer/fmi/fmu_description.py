@@ -42,7 +42,7 @@ def same_file(path: Path) -> tuple[int, ...]:
     return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
-def _cached_per_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
+def _cached_per_file(read: Callable[[Path], Read]) -> Callable[[str | Path], Read]:
     """Cache the result of the function `read` for each file, until the file changes.
 
     Callers must not modify the result, because later callers receive the same object. Without the
@@ -51,7 +51,8 @@ def _cached_per_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
     kept: dict[Path, tuple[tuple[int, ...], Read]] = {}
 
     @functools.wraps(read)
-    def once(path: Path) -> Read:
+    def once(path: str | Path) -> Read:
+        path = Path(path)
         try:
             state = same_file(path)
         except (OSError, ValueError):

@@ -74,6 +74,11 @@ class Result(Shown):
         from freeflyer.scenario import plot
 
         runs = (self, *others)
+        for run in others:
+            if not isinstance(run, Result):
+                raise CosimError(
+                    f"plot: {type(run).__name__} {run!r:.40}; results of `run` are expected"
+                )
         return plot.errors(
             [(run.record.time, run.errors) for run in runs],
             labels or [run.scenario.name for run in runs],
@@ -157,6 +162,8 @@ def run(
         raise CosimError(
             f"engine is {engine!r}; {' or '.join(map(repr, get_args(Engine)))} is expected"
         )
+    if not (progress is None or callable(progress)):
+        raise CosimError(f"progress is {progress!r}; a function of the simulated time is expected")
     with assembled(scenario, fmi) as (master, values):
         metrics.check(scenario, master.graph.components)
         # If Ctrl-C ends the simulation, the results up to then are kept and summarised.

@@ -164,6 +164,8 @@ def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Scan:
 def _count(longest: float | None, tick: int, period: int) -> int:
     if longest is None:
         return max(nanoseconds(LONGEST, "the longest period") // tick, period // tick, 1)
+    if not isinstance(longest, int | float):
+        raise ScenarioError(f"longest is {longest!r}; a number in s is expected")
     if not (math.isfinite(longest) and seconds(tick) <= longest):
         raise ScenarioError(
             f"--longest {longest:g}: a time of {shown(tick)} (the fast controllers' step) or more is expected"
