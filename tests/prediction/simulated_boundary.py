@@ -105,11 +105,11 @@ def gains(seed: int) -> list[str]:
     ]
 
 
-def comparisons(drawn: Overrides) -> Iterator[Comparison]:
+def comparisons(drawn: Overrides, tolerance: float) -> Iterator[Comparison]:
     """Yield the comparisons of all seeds whose predicted boundary lies within the scan."""
     seed = 0
     while True:
-        found = compared(seed, drawn)
+        found = compared(seed, drawn, tolerance)
         if found:
             yield found
         seed += 1

@@ -228,16 +228,20 @@ def test_the_simulation_confirms_a_stable_interval_above_the_first_boundary() ->
 
 
 @pytest.mark.benchmark
-@pytest.mark.parametrize("drawn", [random_gains, random_memories])
-def test_the_simulated_boundary_is_the_predicted_one_in_fifty_random_sets(drawn: Overrides) -> None:
-    """Compares boundaries within max(2 %, one T_m), and the growth rates of a 1e-6 perturbation."""
+@pytest.mark.parametrize(
+    ("drawn", "tolerance", "absolute"), [(random_gains, 0.02, 1e-4), (random_memories, 0.0, 7e-4)]
+)
+def test_the_simulated_boundary_is_the_predicted_one_in_fifty_random_sets(
+    drawn: Overrides, tolerance: float, absolute: float
+) -> None:
+    """Compares boundaries at the tolerance or one T_m, and growth rates of a 1e-6 perturbation."""
     agreeing = 0
     print(
         "\nset  predicted  n: simulated (predicted) growth rate [1/s] below and above  limited by"
     )
-    for found, _ in zip(comparisons(drawn), range(50), strict=False):
+    for found, _ in zip(comparisons(drawn, tolerance), range(50), strict=False):
         print(found, "" if found.agrees else "DIFFERS", flush=True)
         agreeing += found.agrees
         for each in (found.below, found.above):
-            assert each.simulated == pytest.approx(each.predicted, rel=0.05, abs=1e-4), found
+            assert each.simulated == pytest.approx(each.predicted, rel=0.05, abs=absolute), found
     assert agreeing == 50
