@@ -22,6 +22,7 @@ PAGE = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
 PACKAGES = (freeflyer, freeflyer_fmus, freeflyer_adapters)
 NAMES = [(package, name) for package in PACKAGES for name in package.__all__]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+SLOW = ("gain_scan", "own_controller_in_fmpy", "plant_in_scipy")
 
 
 def test_the_code_blocks_of_the_page_run(
@@ -93,7 +94,10 @@ def test_an_incomplete_docstring_is_found() -> None:
     assert len(incomplete("moved", moved)) == 2
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(p, id=p.stem, marks=[pytest.mark.slow] * (p.stem in SLOW)) for p in EXAMPLES],
+)
 def test_an_example_runs_alone(path: Path, tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, str(path)], cwd=tmp_path, capture_output=True, text=True, timeout=300
