@@ -65,7 +65,7 @@ class Linearisation:
     n is the number of states, m of inputs, and p of outputs. Continuous block: the rates change by
     A dx + B du, and the outputs by C dx + D du. Sampled block: x(k) changes by A dx(k-1) + B du(k),
     and y(k) by C dx(k-1) + D du(k). The elements are in the order of declaration
-    (docs/fmu_variables.md). A quaternion has four elements.
+    (docs/fmu_variables.md), in SI units. A quaternion has four elements.
     """
 
     A: Array

@@ -21,6 +21,11 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
 PACKAGES = (freeflyer, freeflyer_fmus, freeflyer_adapters)
 NAMES = [(package, name) for package in PACKAGES for name in package.__all__]
+UNIT = re.compile(r"\[(s|m|J|N|deg|rad|1/s|us)\b[^\]]*\]|\bSI\b|\bunits?\b|\bin n?s\b")
+WITHOUT_QUANTITIES = {
+    "Table", "audit", "describe_fmu", "export_fmus", "fmu_path", "memory", "run_loop", "sweep",
+    "VirtualDevice", "WRENCH", "write_ssp",
+}  # fmt: skip
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 SLOW = ("gain_scan", "own_controller_in_fmpy", "plant_in_scipy")
 
@@ -49,7 +54,12 @@ def test_every_public_name_is_on_the_page_and_has_a_complete_docstring(
     found = getattr(importlib.import_module(package.__name__), name)
     if isinstance(found, type) and issubclass(found, BaseException):
         return
-    problems = list(incomplete(name, found))
+    problems = incomplete(name, found)
+    whole = [found, *(vars(found).values() if inspect.isclass(found) else ())]
+    if name not in WITHOUT_QUANTITIES and not UNIT.search(
+        " ".join(inspect.getdoc(part) or "" for part in whole)
+    ):
+        problems.append(f"{name}: no docstring has a unit")
     assert not problems, "; ".join(problems)
 
 

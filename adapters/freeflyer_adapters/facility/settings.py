@@ -29,7 +29,7 @@ def _setting(default: float, meaning: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class FacilitySettings:
-    """Settings of a virtual facility. The default values do not describe a real facility."""
+    """Settings of a virtual facility, in SI units. The defaults do not describe a real facility."""
 
     # fmt: off
     arm_watchdog_cycles: int = _setting(4, "Age of the last command [cycles] at which the arm goes to the state safe_stop. With the default value, the arm goes to this state within five cycles after the last command")

@@ -129,7 +129,7 @@ class Joint:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
-    """Free-flyer: base, joints, one body per joint, tool and end-effector.
+    """Free-flyer: base, joints, one body per joint, tool and end-effector. All values are SI.
 
     The values of `base` are given in B. The centre of mass of `base` is the origin of B.
     `base_attachment` is the part of the arm that is fixed to the base, given in B. `bodies[i]` is
