@@ -10,6 +10,7 @@ import binascii
 import random
 import time
 from importlib.resources import files
+from typing import Any
 
 import can
 import cantools
@@ -18,7 +19,7 @@ from freeflyer_adapters import VirtualFacility
 
 IDLE, TORQUE, BRAKE, CLAIM, ACTIVATE = 0, 1, 2, 3, 4
 INACTIVE, ACTIVE = 1, 2
-database = cantools.database.load_file(files("freeflyer_adapters.arm") / "arm.dbc")
+database: Any = cantools.database.load_file(str(files("freeflyer_adapters.arm") / "arm.dbc"))
 command, state = (database.get_message_by_name(name) for name in ("ArmCommand", "ArmState"))
 session = random.randrange(1, 1 << 16)
 counter = 0
@@ -50,7 +51,7 @@ def answer(bus: can.BusABC, cycle: int, mode: int, torque: float = 0.0) -> None:
     )
 
 
-def mode_and_torque(arm: dict, moved_since: float | None) -> tuple[int, float]:
+def mode_and_torque(arm: dict[str, Any], moved_since: float | None) -> tuple[int, float]:
     """Return what the state of the arm asks for: a claim, the activation, or torque and damping."""
     if arm["Controller"] != session:
         return CLAIM, 0.0
@@ -64,12 +65,13 @@ with VirtualFacility(
     "facility", {"devices.arm_drive.channel": "arm_over_can", "facility.arm_watchdog_cycles": 200}
 ) as facility:
     with can.Bus(interface="local", channel="arm_over_can", fd=True) as bus:
-        since, start, arm = None, None, {}
+        since, start = None, 0.0
+        arm: dict[str, Any] = {}
         while since is None or time.monotonic() - since < 2.0:
             message = bus.recv(1.0)
             if message is None or message.arbitration_id != state.frame_id:
                 continue
-            if crc(message.data[2:], 0x4000 + state.frame_id) != message.data[:2]:
+            if crc(bytes(message.data[2:]), 0x4000 + state.frame_id) != message.data[:2]:
                 continue
             arm = state.decode(message.data, decode_choices=False)
             if arm["LifeCycle"] == ACTIVE and since is None:

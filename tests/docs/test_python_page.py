@@ -129,19 +129,3 @@ def test_the_readme_shows_the_first_example() -> None:
     example = (ROOT / "examples" / "two_periods.py").read_text(encoding="utf-8")
     code = example[example.index("import") :].strip()
     assert code in (ROOT / "README.md").read_text(encoding="utf-8")
-
-
-@pytest.mark.slow
-def test_the_types_of_the_examples_are_right() -> None:
-    pytest.importorskip("mypy")
-    command = [
-        sys.executable,
-        "-m",
-        "mypy",
-        "--strict",
-        "--config-file",
-        "",
-        "--ignore-missing-imports",
-    ]
-    done = subprocess.run([*command, *map(str, EXAMPLES)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
