@@ -93,7 +93,7 @@ def assign(raw: Raw, target: str, value: Any, where: str) -> None:
         _assign_in_table(raw, where, target.split("."), value)
         return
     if value is not None and target in OF_RUN:
-        raw[target] = _in_seconds(value, where) if target == "stop_s" else value
+        raw[target] = in_seconds(value, where) if target == "stop_s" else value
         return
     if value is None or not component or not parameter:
         raise ScenarioError(
@@ -113,7 +113,7 @@ def assign(raw: Raw, target: str, value: Any, where: str) -> None:
         _inner(table, "parameters", where)[parameter] = value
 
 
-def _in_seconds(value: Any, where: str) -> Any:
+def in_seconds(value: Any, where: str) -> Any:
     """Return a time with a unit in s, and any other value unchanged."""
     if not isinstance(value, dict) or value.keys() != {"value", "unit"}:
         return value

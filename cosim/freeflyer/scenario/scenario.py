@@ -32,14 +32,13 @@ from freeflyer.foundation.keys import fits, read, table_schema
 from freeflyer.foundation.signal_name import component_of, split_connection
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.table import Shown, Table
-from freeflyer.foundation.units import converted, factor
 from freeflyer.master.connection import Connection
 from freeflyer.master.divergence import Limit
 from freeflyer.master.graph import Exchange
 from freeflyer.scenario import csv_parameters
 from freeflyer.scenario.inheritance import Raw, merged
 from freeflyer.scenario.keys import COMPONENT, ENERGY, LIMIT, MEASURE, RECORD, ROLES, SCENARIO, Kind
-from freeflyer.scenario.overrides import Changes, apply, check_changes, plain
+from freeflyer.scenario.overrides import Changes, apply, check_changes, in_seconds, plain
 from freeflyer.scenario.signal_roles import SignalRoles
 
 SHIPPED = Path(__file__).parent.parent / "paper" / "scenarios"
@@ -327,12 +326,7 @@ class _Reader:
             )
         common = {key: value for key, value in raw.items() if key in COMPONENT}
         given = read(common, COMPONENT, self.fail, subject=f"component {name}: ")
-        step = given["step_s"]
-        if isinstance(step, dict):
-            try:
-                step = converted(step["value"], factor(step["unit"], "s"))
-            except ValueError as error:
-                raise self.fail(f"component {name}: step_s: {error}") from error
+        step = in_seconds(given["step_s"], f"scenario {self.path}: component {name}: step_s")
         return ComponentSpec(
             name=name,
             kind=given["kind"],

@@ -16,11 +16,10 @@ def milliseconds(time: float) -> str:
 
 def of_set_point(prediction: Scan) -> list[str]:
     """Return the sentences about the scan at the set point."""
-    lines: list[str] = []
-    lines.append(
+    lines = [
         f"{prediction.scenario}: period T_b of {prediction.component}, from {milliseconds(prediction.shortest_s)} to "
         f"{milliseconds(prediction.longest_s)}; at the set point, with passivity controllers off"
-    )
+    ]
     if prediction.shortest_s > prediction.tick_s:
         lines.append(
             f"The controllers accept no period below {milliseconds(prediction.shortest_s)}."
@@ -69,17 +68,11 @@ def _grows(mode: Mode) -> str:
 
 def of_trajectory(along: AlongTrajectory) -> list[str]:
     """Return the sentences about the analysis along the trajectory."""
-    lines: list[str] = []
-    lines.append(
+    return [
         f"Along the trajectory, from Floquet multipliers (the motion from {along.from_s:g} to {along.to_s:g} s is assumed to be "
-        f"periodic):"
-    )
-    lines.append(f"  largest stable T_b: {milliseconds(along.largest_stable_s)} (by bisection)")
-    lines.append(
-        f"  at {milliseconds(along.period_s)}: {along.growth_rate:+.3g} 1/s, {'unstable' if along.growth_rate >= 0.0 else 'stable'}"
-    )
-    lines.append(
+        f"periodic):",
+        f"  largest stable T_b: {milliseconds(along.largest_stable_s)} (by bisection)",
+        f"  at {milliseconds(along.period_s)}: {along.growth_rate:+.3g} 1/s, {'unstable' if along.growth_rate >= 0.0 else 'stable'}",
         f"  frozen-time loop (not a criterion of stability): unstable {100 * along.frozen_unstable:.0f} % of the time; "
-        f"its largest growth rate is {along.frozen_growth_rate:+.3g} 1/s (at {along.frozen_at_s:g} s)"
-    )
-    return lines
+        f"its largest growth rate is {along.frozen_growth_rate:+.3g} 1/s (at {along.frozen_at_s:g} s)",
+    ]
