@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from freeflyer.foundation.output_file import check_writable
 from freeflyer.foundation.table import Table
-from freeflyer.scenario.experiment import Result
+from freeflyer.scenario.experiment import Result, claim
 from freeflyer.scenario.overrides import Changes
+from freeflyer.scenario.run_directory import Existing
 from freeflyer.scenario.scenario import Scenario, loaded
 from freeflyer_adapters.base.notices import notices
 from freeflyer_adapters.facility import settings as facility_settings
@@ -38,12 +38,13 @@ class LoopResult(Result):
 
     `report` has the measured times [us], the counters of the devices and the reason of the stop.
     `directory` contains the files of the run. `problems` are sentences about a reason of the stop
-    that could not be written.
+    that could not be written. `lines` are sentences about the directory.
     """
 
     report: LoopReport
     directory: Path
     problems: Sequence[str]
+    lines: Sequence[str] = ()
 
 
 def run_loop(
@@ -51,6 +52,7 @@ def run_loop(
     changes: Changes = (),
     *,
     directory: str | os.PathLike[str] | None = None,
+    existing: Existing | None = None,
     simulated: bool = False,
     virtual: bool = False,
     real_time: bool = True,
@@ -66,12 +68,12 @@ def run_loop(
     Real devices get power and move, unless `simulated` (their models run in this process, in real
     time) or `virtual` (the virtual facility, its links and its faults run in this process, in
     virtual time) is true. Read docs/safety.md first. `scenario` and `changes` are those of
-    `freeflyer.run`. `directory` (default: freeflyer_out/hil_NAME) receives record.parquet,
-    summary.json and stop.json, and with `record` also recording.mcap and the CAN log in
-    `can_format`. `real_time` requests SCHED_FIFO and locked memory. `view` opens the live view.
-    `log_to` also sends the reason of the stop to a system log. `fmi` is the FMI version of the
-    shipped FMUs. `show` receives one line of text for
-    each event. Ctrl-C stops the devices in order.
+    `freeflyer.run`. `directory` (default: freeflyer_out/hil_NAME-TIME-HASH) receives
+    record.parquet, summary.json and stop.json, and with `record` also recording.mcap and the CAN
+    log in `can_format`. For `existing`, see `freeflyer.Result.save`. `real_time` requests
+    SCHED_FIFO and locked memory. `view` opens the live view. `log_to` also sends the reason of the
+    stop to a system log. `fmi` is the FMI version of the shipped FMUs. `show` receives one line of
+    text for each event. Ctrl-C stops the devices in order.
 
     Raises CosimError for an error before anything moves. A later error ends the run without an
     exception; it is the cause of the stop.
@@ -84,40 +86,45 @@ def run_loop(
     if log_to is not None:
         check_log_to(log_to)
     # Check the output directory and show all notices before the link of a device is opened.
-    folder = Path(directory or Path("freeflyer_out") / f"hil_{chosen.name}")
-    check_writable(folder)
-    if not simulated:
-        for notice in notices(chosen, as_robot=False):
-            show(notice)
-    # First complete the recordings of earlier runs that were killed.
-    for sentence in rescue():
-        show(sentence)
-    recording = Recording(
-        directory=folder, everything=record, can=not virtual, can_format=can_format
-    )
-    stop = StopNotice(directory=folder, log_to=log_to, scenario=chosen.name, show=show)
-    with closing(stop), facility_beside(chosen, virtual, fmi, show), _reason_kept(stop):
-        result, report = hil.run(
-            chosen,
-            real_time=real_time and not virtual,
-            simulated=simulated,
-            view=view and not virtual,
-            fmi=fmi,
-            recording=recording,
-            notice=stop,
-            show=show,
+    claimed = claim(chosen, directory, existing, f"hil_{chosen.name}")
+    try:
+        if not simulated:
+            for notice in notices(chosen, as_robot=False):
+                show(notice)
+        # First complete the recordings of earlier runs that were killed.
+        for sentence in rescue():
+            show(sentence)
+        claimed.begin()
+        recording = Recording(
+            directory=claimed.path, everything=record, can=not virtual, can_format=can_format
         )
+        stop = StopNotice(directory=claimed.path, log_to=log_to, scenario=chosen.name, show=show)
+        with closing(stop), facility_beside(chosen, virtual, fmi, show), _reason_kept(stop):
+            result, report = hil.run(
+                chosen,
+                real_time=real_time and not virtual,
+                simulated=simulated,
+                view=view and not virtual,
+                fmi=fmi,
+                directory=claimed,
+                recording=recording,
+                notice=stop,
+                show=show,
+            )
+    except BaseException:
+        claimed.abandon()  # stop.json and recordings stay
+        raise
     found = LoopResult(
         scenario=result.scenario,
         outcome=result.outcome,
         errors=result.errors,
         summary=result.summary,
         report=report,
-        directory=folder,
+        directory=claimed.path,
         problems=stop.problems,
     )
-    found.write(folder)
-    return found
+    found.finish(claimed)
+    return replace(found, directory=claimed.path, lines=list(claimed.lines))
 
 
 @contextmanager

@@ -2,6 +2,9 @@ from .analysis.audit.audit import Audit as Audit
 from .analysis.audit.audit import audit as audit
 from .analysis.prediction.predict import Prediction as Prediction
 from .analysis.prediction.predict import predict as predict
+from .analysis.runs import Runs as Runs
+from .analysis.runs import SavedRun as SavedRun
+from .analysis.runs import runs as runs
 from .analysis.sweep.sweep import SweepResult as SweepResult
 from .analysis.sweep.sweep import sweep as sweep
 from .fmi.component import Port as Port
@@ -20,6 +23,7 @@ from .master.record import Record as Record
 from .scenario.experiment import Result as Result
 from .scenario.experiment import parameters as parameters
 from .scenario.experiment import run as run
+from .scenario.saved_run import open_run as open_run
 from .scenario.scenario import Scenario as Scenario
 from .scenario.scenario import load as load
 from .ssp.read import load_ssp as load_ssp

@@ -34,7 +34,7 @@ def test_functions_and_commands_write_the_same_files(
     arguments = ["multirate_passive", "--set", "stop_s=2", "--set", "base_controller.period=100 ms"]
     assert command.call(["run", *arguments, "--out", "command"]) == 0
     run = ff.run("multirate_passive", {"stop_s": 2.0, "base_controller.period": "100 ms"})
-    run.write("function")
+    run.save("function")
     one, other = ((Path(k) / "record.parquet").read_bytes() for k in ("command", "function"))
     assert one == other
     timed = ("wall_s", "wall_s_per_simulated_s")

@@ -18,7 +18,7 @@ from freeflyer.scenario import experiment
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("runs") / "passive"
-    experiment.run("multirate_passive", ["stop_s=4"]).write(directory)
+    experiment.run("multirate_passive", ["stop_s=4"]).save(directory)
     return directory
 
 
@@ -58,7 +58,7 @@ def test_a_record_file_is_accepted_and_results_are_written_beside_it(run: Path) 
 def test_a_diverged_run_is_audited_to_its_end(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    experiment.run("overdamped_base").write(tmp_path)
+    experiment.run("overdamped_base").save(tmp_path)
     assert command.call(["audit", str(tmp_path)]) == 0
     numbers = json.loads((tmp_path / "energy_audit.json").read_text())
     assert numbers["to_s"] == pytest.approx(19.5, abs=1.0)

@@ -16,7 +16,6 @@ from rosbags.highlevel import AnyReader
 
 from freeflyer_adapters import read_recording
 from freeflyer_adapters.recording import parts
-from freeflyer_adapters.recording.earlier_recordings import set_aside
 from freeflyer_adapters.recording.mcap_file import STOP, RecordingFile
 from freeflyer_adapters.recording.parts import PART_SECONDS, PartedRecording
 from freeflyer_adapters.recording.recorder import Recorder
@@ -93,33 +92,11 @@ def test_the_result_lists_all_parts(tmp_path: Path, runtime: Path, short: None) 
     assert read_recording(tmp_path)["instant"].tolist() == list(range(COUNT))
 
 
-def test_parts_of_a_longer_earlier_run_are_removed(tmp_path: Path, short: None) -> None:
-    write(tmp_path, COUNT)
-    set_aside(tmp_path, [], "blf")
-    assert len(write(tmp_path, 250, START + 1)) == 2
-    assert read_recording(tmp_path)["instant"].tolist() == list(range(250))
-    assert len(parts.parts(tmp_path)) == 2
-
-
 def test_a_part_of_another_run_is_not_read(tmp_path: Path, short: None) -> None:
     write(tmp_path, COUNT)
-    write(tmp_path, 250, START + 1)  # without `set_aside` before
+    write(tmp_path, 250, START + 1)
     assert len(parts.parts(tmp_path)) == 4
     assert read_recording(tmp_path)["instant"].tolist() == list(range(250))
-
-
-@pytest.mark.parametrize(
-    "cut", [0, 5, 8, -20], ids=["empty", "five bytes", "magic bytes only", "no end"]
-)
-def test_all_parts_of_an_unfinished_run_are_renamed(cut: int, tmp_path: Path, short: None) -> None:
-    paths = write(tmp_path, 450)
-    whole = [path.read_bytes() for path in paths]
-    paths[-1].write_bytes(whole[-1][:cut])
-    set_aside(tmp_path, [], "blf")
-    assert parts.parts(tmp_path) == []
-    assert sorted(path.read_bytes() for path in tmp_path.iterdir()) == sorted(
-        [*whole[:-1], whole[-1][:cut]]
-    )
 
 
 def killed(out: Path, ring: RingWriter, inject_kill: Callable[[], None]) -> None:
@@ -169,9 +146,6 @@ def test_a_kill_at_the_change_of_parts_loses_nothing(
     assert not frame.isna().any().any()
     recovered = [recover(path) for path in unfinished(tmp_path)]
     assert all(one.kept or one.path for one in recovered)
-    # One part was unfinished, so the next run must not overwrite any.
-    set_aside(tmp_path, [], "blf")
-    assert parts.parts(tmp_path) == []
 
 
 def test_no_message_occurs_twice_in_the_recovered_file_and_the_rest(

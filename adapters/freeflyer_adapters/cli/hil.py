@@ -16,6 +16,7 @@ from freeflyer.foundation.exit_codes import BAD_INPUT, DONE, STOPPED
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.output_file import check_writable, folder, write_text
 from freeflyer.scenario import scenario
+from freeflyer.scenario.directory_option import add_directory
 from freeflyer.scenario.scenario import Scenario
 from freeflyer.scenario.verdict import verdict
 from freeflyer_adapters.base.notices import notices
@@ -38,11 +39,8 @@ from freeflyer_adapters.session import (
 class HilCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         _common(parser)
-        parser.add_argument(
-            "--out",
-            type=folder,
-            metavar="DIR",
-            help="directory of the results (default: freeflyer_out/hil_SCENARIO)",
+        add_directory(
+            parser, "freeflyer_out/hil_SCENARIO-TIME-HASH; freeflyer_out/hil_SCENARIO links to it"
         )
         # The devices: real, or models in this process.
         how = parser.add_mutually_exclusive_group()
@@ -99,6 +97,7 @@ class HilCommand:
         result = run_loop(
             chosen,
             directory=arguments.out,
+            existing=arguments.existing,
             simulated=arguments.simulated,
             virtual=arguments.accelerated,
             real_time=arguments.real_time,
@@ -114,7 +113,8 @@ class HilCommand:
         report = result.report
         for table in (result.table, times_table(report.times), counts_table(report.devices)):
             console.print(as_rich(table))
-        show(f"Results in {result.directory}: record.parquet, summary.json, stop.json")
+        for line in result.lines:
+            show(line)
         for sentence in (*report.remarks, *recording_lines(report.recording or {})):
             show(sentence)
         return verdict(result.scenario, result.outcome)

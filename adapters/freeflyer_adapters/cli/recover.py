@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
@@ -11,16 +12,32 @@ from rich.progress import Progress
 from freeflyer.foundation.errors import RecordError
 from freeflyer.foundation.exit_codes import DONE
 from freeflyer.foundation.interrupts import interrupts
+from freeflyer.scenario.run_directory import ROWS, UNFINISHED, newer_incomplete
+from freeflyer.scenario.saved_run import complete
 from freeflyer_adapters.recording.recover import recover, rings_of, unfinished
 
 
 class RecoverCommand:
+    _completed = 0
+
+    def _of_run(self, directory: Path, console: Console) -> Iterator[Path]:
+        """Write the results of an incomplete run from its rows. Yield its damaged files."""
+        yield from unfinished(directory)
+        if directory.is_symlink() or not (directory / UNFINISHED / ROWS).exists():
+            return
+        result, _ = complete(directory)
+        self._completed += 1
+        console.print(
+            f"{directory}: kept {result.record.rows} rows, up to {result.outcome.simulated:g} s: record.parquet, summary.json",
+            soft_wrap=True,
+        )
+
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "path",
             type=Path,
             metavar="PATH",
-            help="FILE.mcap, FILE.blf, FILE.ring, or the directory of a run with these files",
+            help="FILE.mcap, FILE.blf, FILE.ring, or the directory of a run",
         )
         parser.add_argument(
             "--out",
@@ -41,9 +58,16 @@ class RecoverCommand:
                 raise RecordError(
                     f"--out {out}: {path} is a directory, and the recovered files are always written to this directory; omit --out"
                 )
-            paths = list(unfinished(path))
-            if not paths:
-                raise RecordError(f"{path} has no recording, no CAN log and no ring of a run")
+            newer = newer_incomplete(path)
+            for run in newer:
+                console.print(f"{run} is newer than {path} and incomplete", soft_wrap=True)
+            paths = [*newer, path] if path.is_symlink() else [path]
+            found = [file for run in paths for file in self._of_run(run, console)]
+            if not found and not self._completed:
+                raise RecordError(
+                    f"{path} has no rows of an incomplete run, no recording, no CAN log and no ring of a run"
+                )
+            paths = found
         elif path.suffix.lower() == ".mcap" and path.is_file():
             paths = [*rings_of(path.parent), path]
         with (

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from freeflyer.fmi.component import Array
@@ -25,8 +25,10 @@ from freeflyer.master.connection import Connection
 from freeflyer.master.master import InstantHook, Master, Outcome
 from freeflyer.scenario import metrics
 from freeflyer.scenario.assemble import assembled
-from freeflyer.scenario.experiment import Result, provenance
+from freeflyer.scenario.description import described
+from freeflyer.scenario.experiment import Result, provenance, result_of
 from freeflyer.scenario.parameters import Values, current
+from freeflyer.scenario.run_directory import RunDirectory
 from freeflyer.scenario.scenario import ComponentSpec, Measure, Scenario
 from freeflyer_adapters.device.component import DeviceComponent
 from freeflyer_adapters.device.device import SIMULATED, Device
@@ -170,6 +172,7 @@ def run(
     simulated: bool = False,
     view: bool = False,
     fmi: int | None = None,
+    directory: RunDirectory | None = None,
     recording: Recording | None = None,
     notice: StopNotice | None = None,
     show: Callable[[str], None] = print,
@@ -177,7 +180,8 @@ def run(
     """Configure, activate, run and stop the devices of a scenario.
 
     `real_time`: use real-time priorities. `simulated`, `fmi`: see `with_devices`. `view`: open the
-    live view. `recording`: settings of the recording, or None to record nothing. `notice` receives
+    live view. `directory`: claimed directory of the run, or None. `recording`: settings of the
+    recording, or None to record nothing. `notice` receives
     the reason of the stop before any other output. `show` prints a line.
 
     Raises CosimError for an error that occurs before anything moves. A later error does not raise
@@ -188,7 +192,9 @@ def run(
     try:
         # Before the activation, Ctrl-C raises KeyboardInterrupt, which closes the links.
         with assembled(scenario, fmi) as (master, values):
-            return _run(scenario, master, values, real_time, view, recording, notice, show)
+            return _run(
+                scenario, master, values, real_time, view, fmi, directory, recording, notice, show
+            )
     finally:
         pacing.leave_real_time()
 
@@ -252,6 +258,8 @@ def _run(
     values: Values,
     real_time: bool,
     view: bool,
+    fmi: int | None,
+    directory: RunDirectory | None,
     recording: Recording | None,
     notice: StopNotice | None,
     show: Callable[[str], None],
@@ -259,6 +267,10 @@ def _run(
     # A device is called once per communication step. So the step of the device must be equal to
     # the communication step.
     metrics.check(scenario, master.graph.components)
+    origin = provenance(scenario, master, values)
+    about = described(scenario, master.graph.components, origin, fmi=fmi, engine="devices")
+    if directory is not None:
+        directory.describe({"run": about, "provenance": asdict(origin)})
     devices = [c.device for c in master.graph.components.values() if isinstance(c, DeviceComponent)]
     period = master.schedule.tick
     for device in devices:
@@ -325,7 +337,8 @@ def _run(
         remarks=[f"{device.name}: {sentence}" for device in devices for sentence in device.remarks],
         recording=recorded,
     )
-    return _result(scenario, master, values, outcome, report), report
+    outcome.record.provenance = origin
+    return result_of(scenario, outcome, about, real_time=report.summary()), report
 
 
 def _loop(
@@ -394,12 +407,3 @@ class _Stopping:
                 self._notice.give(self.reason, self.left, orderly=self.orderly, quiet=quiet)
             elif not quiet:
                 self._show(f"Stop: {self.sentence}")
-
-
-def _result(
-    scenario: Scenario, master: Master, values: Values, outcome: Outcome, report: LoopReport
-) -> Result:
-    outcome.record.provenance = provenance(scenario, master, values)
-    series = metrics.errors(scenario, outcome.record, master.graph.components, values)
-    summary = {**metrics.summary(scenario, outcome, series), "real_time": report.summary()}
-    return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)

@@ -30,7 +30,6 @@ from freeflyer.scenario.experiment import provenance
 from freeflyer.scenario.parameters import Values
 from freeflyer.scenario.scenario import Scenario
 from freeflyer_adapters.device.device import STATE, Device
-from freeflyer_adapters.recording.earlier_recordings import set_aside
 from freeflyer_adapters.recording.mcap_file import FLIGHT, save_flight
 from freeflyer_adapters.recording.parts import parts, save_rest
 from freeflyer_adapters.recording.recorder import GOODBYE, READY, Written
@@ -141,8 +140,6 @@ class RecordingClient:
         # Create the ring before the recorder, because the recorder opens the ring at its start.
         self._directory = wanted.directory.absolute()
         self._missing: list[str] = []
-        if wanted.everything:
-            set_aside(wanted.directory, header.can, wanted.can_format)
         self._ring = RingWriter(header)
         self._recorder: subprocess.Popen[bytes] | None = None
         try:

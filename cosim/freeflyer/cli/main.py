@@ -73,7 +73,11 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "run": (
         "freeflyer.cli.run:RunCommand",
-        "run one scenario; write its record and summary.json",
+        "run one scenario, or repeat a run; write its record and summary.json",
+    ),
+    "runs": (
+        "freeflyer.cli.runs:RunsCommand",
+        "list, filter and compare runs in a folder",
     ),
     "sweep": (
         "freeflyer.cli.sweep:SweepCommand",

@@ -12,9 +12,10 @@ from rich.console import Console
 from freeflyer.analysis import observer_notes
 from freeflyer.cli.console import as_rich
 from freeflyer.foundation.errors import ScenarioError
-from freeflyer.foundation.output_file import check_writable, folder
 from freeflyer.scenario import experiment, scenario
-from freeflyer.scenario.scenario import Scenario
+from freeflyer.scenario.directory_option import add_directory
+from freeflyer.scenario.saved_run import open_run
+from freeflyer.scenario.scenario import Scenario, of_run
 from freeflyer.scenario.verdict import verdict
 
 # Each subcommand imports only the modules that it needs. Therefore a run of a scenario imports
@@ -28,6 +29,12 @@ def loaded(name: str, overrides: Sequence[str], step: float | None) -> Scenario:
 
     `step` [s] is the communication step of the components that have no step in the SSP file.
     """
+    run = of_run(name)
+    if run is not None and run.get("ssp") is not None and step is None:
+        from freeflyer.ssp.read import load_ssp
+
+        again = [*run["changes"], *overrides]
+        return load_ssp(run["ssp"]["path"], again, step=run["ssp"]["step"])
     if not name.lower().endswith(".ssp"):
         if step is not None:
             raise ScenarioError(
@@ -59,7 +66,9 @@ def add_fmi(parser: argparse.ArgumentParser) -> None:
 class RunCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
-            "scenario", metavar="SCENARIO", help=f"{SCENARIO_HELP}, or an .ssp file"
+            "scenario",
+            metavar="SCENARIO",
+            help=f"{SCENARIO_HELP}, an .ssp file, or the directory of a run, to repeat it",
         )
         parser.add_argument(
             "--step",
@@ -75,26 +84,34 @@ class RunCommand:
             default="core",
             help="master that steps the FMUs: native code (default) or Python with FMPy; the results are equal",
         )
-        parser.add_argument(
-            "--out", type=folder, metavar="DIR", help="default: freeflyer_out/SCENARIO"
+        add_directory(
+            parser, "freeflyer_out/SCENARIO-TIME-HASH; freeflyer_out/SCENARIO links to it"
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         if arguments.fmi is not None and arguments.scenario.lower().endswith(".ssp"):
             raise ScenarioError("--fmi belongs to scenarios; an .ssp file contains its own FMUs")
         chosen = loaded(arguments.scenario, arguments.overrides, arguments.step)
-        directory = arguments.out or Path("freeflyer_out") / chosen.name
-        check_writable(directory)
+        directory = experiment.claim(chosen, arguments.out, arguments.existing)
+        # The directory may be a link that leads to the new run afterwards.
+        repeated = Path(arguments.scenario).resolve() if of_run(arguments.scenario) else None
+        before = None if repeated is None else open_run(repeated)
         with experiment.progress_bar(console, [chosen]) as reports:
             result = experiment.run(
                 chosen,
                 fmi=arguments.fmi,
                 progress=reports[chosen.name],
                 engine=arguments.master,
+                directory=directory,
             )
-        result.write(directory)
         console.print(as_rich(result.table))
         for note in observer_notes.notes(result.outcome.record.provenance):
             console.print(f"Note: {note}", soft_wrap=True)
-        console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
+        for line in directory.lines:
+            console.print(line, soft_wrap=True)
+        if before is not None:
+            found = before.differences(result)
+            same = f"The record has the same bits as that of {repeated}."
+            for line in [f"Different from {repeated}:", *found] if found else [same]:
+                console.print(line, soft_wrap=True)
         return verdict(result.scenario, result.outcome)

@@ -5,24 +5,34 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-from collections.abc import Callable
+import shutil
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from freeflyer.foundation.errors import OutputError
 from freeflyer.foundation.exit_codes import BAD_INPUT
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+def write_whole(path: Path, write: Callable[[Path], object], *, durable: bool = False) -> None:
     """Write a file completely or not at all.
 
     `write` is called with the path of a temporary file, and must write this file. The temporary
-    file is then renamed to `path`. Raises OutputError if the file cannot be written.
+    file is then renamed to `path`. No other process or thread has a temporary file of this name.
+    With `durable`, the file is complete or absent also after a loss of power. Raises OutputError if
+    the file cannot be written.
     """
-    partial = path.with_name(path.name + ".partial")
+    partial = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(partial)
+        if durable:
+            _flush(partial)
         os.replace(partial, path)
+        if durable:
+            _flush(path.parent)
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
@@ -31,12 +41,38 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
             partial.unlink(missing_ok=True)
 
 
+def _flush(path: Path) -> None:
+    """Wait until a file, or the names in a directory, are on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file in UTF-8, completely or not at all.
 
     Raises OutputError if the file cannot be written.
     """
     write_whole(path, lambda partial: Path(partial).write_text(text, encoding="utf-8"))
+
+
+@contextmanager
+def staged(directory: Path) -> Iterator[Path]:
+    """Yield a new folder in a directory. At the end, its files replace those of the directory.
+
+    If the directory was renamed meanwhile, no file is written to a new directory of its name. The
+    `with` block and the end raise OSError if a file cannot be written.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    stage = Path(tempfile.mkdtemp(prefix=".new-", dir=directory))
+    try:
+        yield stage
+        for path in sorted(stage.iterdir()):
+            os.replace(path, directory / path.name)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
 
 
 def check_writable(directory: Path) -> None:

@@ -24,6 +24,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from freeflyer.fmi.component import Array
@@ -90,7 +91,7 @@ class Master:
 
     `limits` contains the limits that end the run when they are exceeded. The function `recorded` is
     called with the name COMPONENT.VARIABLE of each output. If the function returns True, the output
-    is recorded.
+    is recorded. `rows` is a new file for the rows of the record (`Record`), or None.
     """
 
     def __init__(
@@ -99,6 +100,7 @@ class Master:
         schedule: Schedule,
         limits: Sequence[Limit] = (),
         recorded: Callable[[str], bool] = lambda signal: True,
+        rows: Path | None = None,
     ) -> None:
         for limit in limits:
             watched.check(limit, graph.components)
@@ -108,7 +110,7 @@ class Master:
             Watch(limit, self.slaves.value(limit.signal), schedule.tick) for limit in limits
         ]
         signals, self.columns = self.slaves.signals(graph, recorded)
-        self.record = Record(signals, schedule.ticks // schedule.record_ratio + 2)
+        self.record = Record(signals, schedule.ticks // schedule.record_ratio + 2, rows)
 
     def initialise(self, start_values: Mapping[str, Mapping[str, Array]]) -> None:
         """Initialise all components.

@@ -9,10 +9,11 @@ freeflyer.origin (see `freeflyer.master.provenance`).
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ from freeflyer.foundation.errors import CosimError, RecordError, UnknownSignal, 
 from freeflyer.foundation.extras import needed_by
 from freeflyer.foundation.output_file import write_whole
 from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.master import row_file
 from freeflyer.master.provenance import KEY, Provenance
 
 if TYPE_CHECKING:
@@ -58,13 +60,21 @@ class Signal:
 class Record:
     """A table of times and of the values of signals.
 
-    The constructor allocates the memory for the largest number of rows, `rows`. Raises CosimError
-    if there is not enough memory. The attribute `rows` is the number of rows that contain data.
+    The constructor allocates the memory for the largest number of rows, `rows`. With `file`, the
+    memory is a file that has the rows also after the death of the process (`row_file`). Raises
+    CosimError if there is not enough memory or disk space. The attribute `rows` is the number of
+    rows that contain data.
     """
 
-    def __init__(self, signals: Sequence[Signal], rows: int) -> None:
+    def __init__(self, signals: Sequence[Signal], rows: int, file: Path | None = None) -> None:
         self.signals: Mapping[str, Signal] = {signal.name: signal for signal in signals}
         width = max((signal.first + signal.size for signal in signals), default=0)
+        self.rows = 0
+        self.provenance: Provenance | None = None
+        if file is not None:
+            described = [asdict(signal) for signal in signals]
+            self._time, self._values = row_file.create(file, {"signals": described}, rows, width)
+            return
         try:
             self._time = np.empty(rows)
             self._values = np.empty((rows, width))
@@ -74,8 +84,6 @@ class Record:
                 f"the record of {rows} rows with {width} columns needs {size:.3g} GiB, but less memory is available; increase "
                 f"[record] every_s or reduce stop_s"
             ) from error
-        self.rows = 0
-        self.provenance: Provenance | None = None
 
     def __repr__(self) -> str:
         span = f", {self.time[0]:g} to {self.time[-1]:g} s" if self.rows else ""
@@ -83,8 +91,8 @@ class Record:
 
     def append(self, time: float, values: Array) -> None:
         """Add a row: a time [s], and the values of all columns."""
-        self._time[self.rows] = time
         self._values[self.rows] = values
+        self._time[self.rows] = time
         self.rows += 1
 
     @property
@@ -134,6 +142,40 @@ class Record:
             for column, unit in zip(signal.columns, signal.units, strict=True)
         }
         return {"time": "s", **named}
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the times, values, signals and provenance.
+
+        Two records with the same digest have the same bits.
+        """
+        digest = hashlib.sha256()
+        digest.update(json.dumps(self.units).encode())
+        if self.provenance is not None:
+            digest.update(self.provenance.to_json().encode())
+        for array in (self.time, *(self[name] for name in self.signals)):
+            digest.update(np.ascontiguousarray(array, dtype="<f8").data)
+        return digest.hexdigest()
+
+    @classmethod
+    def from_rows(cls, path: Path) -> Record:
+        """Read the rows of a run whose process has died, see `file` of the constructor.
+
+        Raises RecordError if the file is damaged or cannot be read.
+        """
+        try:
+            header, time, values = row_file.read(path)
+            signals = [
+                Signal(**{**signal, "units": tuple(signal["units"])})
+                for signal in header["signals"]
+            ]
+            record = cls(signals, len(time))
+            record._time[:], record._values[:] = time, values
+        except (OSError, LookupError, TypeError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or one_line(error)
+            raise RecordError(f"{path} cannot be read as the rows of a run: {reason}") from error
+        record.rows = len(time)
+        return record
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Record:
@@ -187,8 +229,11 @@ class Record:
 
         Raises OutputError if the file cannot be written.
         """
-        table = self.to_arrow()
-        write_whole(path, lambda partial: parquet.write_table(table, partial, compression="zstd"))
+        write_whole(path, self.write_file)
+
+    def write_file(self, path: Path) -> None:
+        """Write a Parquet file. Raises OSError. An error leaves an incomplete file."""
+        parquet.write_table(self.to_arrow(), path, compression="zstd")
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return a data frame: the column `time` [s], and a column for each element of a signal.

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from rich.console import Console
 
-from freeflyer.foundation.output_file import folder
+from freeflyer.foundation.extras import EXTRAS, require
+from freeflyer.scenario.directory_option import add_directory
+from freeflyer.scenario.run_directory import RunDirectory
 
 
 class ReproduceCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument(
-            "--out", type=folder, default=Path("freeflyer_out") / "reproduce", metavar="DIR"
+        add_directory(
+            parser, "freeflyer_out/reproduce-TIME-HASH; freeflyer_out/reproduce links to it"
         )
         parser.add_argument(
             "--fmi",
@@ -31,6 +32,15 @@ class ReproduceCommand:
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         from freeflyer.paper import reproduce
 
-        return reproduce.reproduce(
-            arguments.out, arguments.fmi, console, in_real_time=arguments.real_time
+        if arguments.real_time:
+            require("freeflyer reproduce --real-time", EXTRAS["hil"])
+        about = f"{arguments.fmi} {arguments.real_time}"
+        claimed = (
+            RunDirectory.unique("reproduce", about)
+            if arguments.out is None
+            else RunDirectory.claim(arguments.out, arguments.existing)
         )
+        with claimed:
+            return reproduce.reproduce(
+                claimed, arguments.fmi, console, in_real_time=arguments.real_time
+            )

@@ -25,7 +25,6 @@ from freeflyer.scenario.experiment import Result
 from freeflyer.scenario.scenario import Scenario
 
 COMMAND = (sys.executable, "-P", "-m", "freeflyer.cli.main")
-WRITTEN = ("record.parquet", "summary.json", "facility.json")
 CASES = ("facility", "facility_without_pc")
 
 
@@ -44,13 +43,9 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
         f'devices.base_robot.connect=["tcp/127.0.0.1:{_free_port()}"]',
     ]
     arguments = [scenario.name, *(part for setting in settings for part in ("--set", setting))]
-    # Delete the files of an earlier run. They could be confused with the files of this run.
-    for name in WRITTEN:
-        with contextlib.suppress(FileNotFoundError):
-            (directory / name).unlink()
     with _facility([*COMMAND, "facility", *arguments, "--out", str(directory)]):
         loop = subprocess.run(
-            [*COMMAND, "hil", *arguments, "--no-view", "--out", str(directory)],
+            [*COMMAND, "hil", *arguments, "--no-view", "--overwrite", "--out", str(directory)],
             capture_output=True,
             text=True,
         )

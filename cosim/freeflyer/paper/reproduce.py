@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,8 +12,6 @@ from rich.table import Table
 from freeflyer.analysis.audit.audit import audit
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.exit_codes import DONE, STOPPED
-from freeflyer.foundation.extras import EXTRAS, require
-from freeflyer.foundation.output_file import check_writable, write_text
 from freeflyer.paper import criteria, figures, real_time, report
 from freeflyer.paper.report import ASSUMPTIONS, Figure, Statement
 from freeflyer.paper.statements import (
@@ -31,29 +28,37 @@ from freeflyer.paper.statements import (
 from freeflyer.scenario import experiment, scenario
 from freeflyer.scenario.experiment import Result
 from freeflyer.scenario.figure_style import STYLE, save
+from freeflyer.scenario.run_directory import RunDirectory
 
 ATTEMPTS = 3
 """Maximum number of attempts to run a loop in real time."""
 
 
-def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool = False) -> int:
-    """Run every case, and write figures, tables and report into `directory`. Return the exit code.
+def reproduce(
+    claimed: RunDirectory, fmi: int, console: Console, *, in_real_time: bool = False
+) -> int:
+    """Run every case, and write figures, tables and report. Return the exit code.
 
-    `fmi` is the FMI version of the FMUs. If `in_real_time` is true, the facility experiment is run
-    a second time: in real time on the virtual facility, over CAN and Zenoh. After Ctrl-C, the
-    results of all completed cases and of the interrupted case are saved.
+    `claimed` is the claimed directory of the results, and `fmi` is the FMI version of the FMUs. If
+    `in_real_time` is true, the facility experiment is run a second time: in real time on the
+    virtual facility, over CAN and Zenoh. After Ctrl-C, the results of all completed cases and of
+    the interrupted case are saved.
     Raises OutputError or another CosimError.
     """
-    if in_real_time:
-        require("freeflyer reproduce --real-time", EXTRAS["hil"])
-    check_writable(directory)
     # Run the cases. Stop after a case that was interrupted.
     scenarios = [scenario.load(name) for name in CASES]
+    claimed.begin()
+    directory = claimed.path
     results: dict[str, Result] = {}
     with experiment.progress_bar(console, scenarios) as reports:
         for case in scenarios:
-            results[case.name] = experiment.run(case, fmi=fmi, progress=reports[case.name])
-            results[case.name].write(directory / case.name)
+            results[case.name] = experiment.run(
+                case,
+                fmi=fmi,
+                progress=reports[case.name],
+                directory=directory / case.name,
+                existing="overwrite",
+            )
             if results[case.name].outcome.interrupted:
                 break
     # Run the loops in real time, and write the summary of all runs.
@@ -61,8 +66,8 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
         run_in_real_time(directory, console) if in_real_time and len(results) == len(CASES) else {}
     )
     summaries = {name: result.summary for name, result in {**results, **loops}.items()}
-    write_text(directory / "summary.json", json.dumps({"cases": summaries}, indent=2) + "\n")
     if len(results) < len(CASES) or any(result.outcome.interrupted for result in results.values()):
+        claimed.finish({}, {"cases": summaries})
         console.print(
             f"Interrupted; the cases {', '.join(results)} are saved in {directory}. No figures were drawn.",
             soft_wrap=True,
@@ -83,6 +88,7 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
         drawn,
         {**results, **loops},
     )
+    claimed.finish({}, {"cases": summaries})
     console.print(table(stated))
     for title, others in sections.items():
         console.print(f"{title}: {counted(others)}", soft_wrap=True)
@@ -92,6 +98,8 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
         f"Report: {directory / 'report.html'}; figures, records and summary.json are in the same directory",
         soft_wrap=True,
     )
+    for note in claimed.notes:
+        console.print(note, soft_wrap=True)
     unexpected = [name for name, result in {**results, **loops}.items() if not result.as_expected]
     if unexpected:
         console.print(f"Not as expected: {', '.join(unexpected)}")

@@ -35,6 +35,8 @@ FMU: Keys = {
     "fmu": Key(TEXT, "a path, or the name of a shipped FMU; default: the name of the component"),
     "fmi": Key(expecting({"enum": [2, 3]}, "2 or 3 is expected"), "FMI version", default=2),
 }
+OF_FMUS = ("fmu", "model_exchange")
+"""Kinds of components that are FMUs."""
 PYTHON: Keys = {"object": Key(TEXT, '`"FILE.py:CALLABLE"` or `"MODULE:CALLABLE"`', default="")}
 
 
@@ -137,7 +139,7 @@ def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
     """
     factory = _factory(spec)
     options = dict(spec.options)
-    if fmi is not None and spec.kind in ("fmu", "model_exchange"):
+    if fmi is not None and spec.kind in OF_FMUS:
         options["fmi"] = fmi
     try:
         return factory(spec.name, options, directory)
@@ -233,19 +235,21 @@ def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
 
 
 @contextmanager
-def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Master, Values]]:
+def assembled(
+    scenario: Scenario, fmi: int | None = None, rows: Path | None = None
+) -> Iterator[tuple[Master, Values]]:
     """Load a scenario and initialise its master. Close the components when the context ends.
 
-    Yields the master and the values that the scenario sets.
-    `fmi`, if given, overrides the FMI version of all FMUs. Raises CosimError.
+    Yields the master and the values that the scenario sets. `fmi`, if given, overrides the FMI
+    version of all FMUs. `rows` is a new file for the rows of the record, or None. Raises
+    CosimError.
     """
     with loaded(scenario, fmi) as system:
         variable_step = {
             name: component.variable_step for name, component in system.components.items()
         }
         plan = schedule.build(system.steps, scenario.stop, scenario.record_every, variable_step)
-        master = Master(
-            system.wiring, plan, scenario.limits, _recorded(scenario, system.components)
-        )
+        recorded = _recorded(scenario, system.components)
+        master = Master(system.wiring, plan, scenario.limits, recorded, rows)
         master.initialise(system.values)
         yield master, system.values

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -16,9 +15,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from freeflyer.fmi.component import Array, Port
 from freeflyer.foundation.clock import seconds
-from freeflyer.foundation.errors import CosimError
+from freeflyer.foundation.errors import CosimError, OutputError
+from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.interrupts import interrupts
-from freeflyer.foundation.output_file import write_text
 from freeflyer.foundation.table import Shown, Table
 from freeflyer.master import native
 from freeflyer.master.master import Master, Outcome
@@ -27,8 +26,10 @@ from freeflyer.master.provenance import Provenance
 from freeflyer.master.record import Record
 from freeflyer.scenario import metrics
 from freeflyer.scenario.assemble import assembled
+from freeflyer.scenario.description import described, differences
 from freeflyer.scenario.overrides import Changes
 from freeflyer.scenario.parameters import Values, current
+from freeflyer.scenario.run_directory import RECORD, Existing, RunDirectory
 from freeflyer.scenario.scenario import Scenario, loaded
 from freeflyer.scenario.verdict import End, as_expected, end_of, sentence
 
@@ -84,15 +85,34 @@ class Result(Shown):
             labels or [run.scenario.name for run in runs],
         )
 
-    def write(self, directory: str | os.PathLike[str]) -> None:
-        """Write record.parquet and summary.json. Raises OutputError.
+    def save(
+        self, directory: str | os.PathLike[str] | None = None, existing: Existing | None = None
+    ) -> Path:
+        """Write record.parquet and summary.json to a directory of their own, and return its path.
 
-        Each file is written atomically.
+        Without `directory`, it is freeflyer_out/NAME-TIME-HASH, and freeflyer_out/NAME links to it.
+        A finished run in `directory` is renamed (DIR.1), and any other content is an error, unless
+        `existing` is "keep" (rename it) or "overwrite" (replace the results). Raises OutputError.
         """
-        folder = Path(directory)
+        claimed = claim(self.scenario, directory, existing)
+        claimed.begin()
+        self.finish(claimed)
+        return claimed.path
+
+    def finish(self, directory: RunDirectory) -> None:
+        """Write record.parquet and summary.json to a directory that has been claimed.
+
+        Raises OutputError. The run then stays incomplete.
+        """
         with interrupts():  # after Ctrl-C during the first file, the second file is still written
-            self.record.write(folder / "record.parquet")
-            write_text(folder / "summary.json", json.dumps(self.summary, indent=2) + "\n")
+            directory.finish({RECORD: self.record.write_file}, self.summary)
+
+    def differences(self, other: Result) -> list[str]:
+        """Return what differs between this run and another, in sentences.
+
+        The list is empty if their records have the same bits.
+        """
+        return differences(self.summary, other.summary, (self.record, other.record))
 
     @property
     def table(self) -> Table:
@@ -147,15 +167,18 @@ def run(
     fmi: int | None = None,
     progress: Report | None = None,
     engine: Engine = "core",
+    directory: RunDirectory | str | os.PathLike[str] | None = None,
+    existing: Existing | None = None,
 ) -> Result:
     """Check and simulate a scenario, and compute its errors and summary.
 
     `scenario` is a result of `load`, or its argument. `changes` are those of `load`. `fmi`, if
     given, overrides the FMI version of all FMUs. `engine` is the code that steps them (`Engine`).
-    `progress` is called with the simulated time [s] during the run. Several threads may run
-    scenarios. After Ctrl-C, the result has the rows up to then, with the verdict "interrupted".
-    Raises CosimError for an error before the first step. An error in a step ends the run without an
-    exception. It is then in `outcome` of the result.
+    `progress` is called with the simulated time [s] during the run. `directory`, if given, has the
+    rows during the run, and the results afterwards; for `existing`, see `Result.save`. Several
+    threads may run scenarios. After Ctrl-C, the result has the rows up to then, with the verdict
+    "interrupted". Raises CosimError for an error before the first step. An error in a step ends the
+    run without an exception. It is then in `outcome` of the result.
     """
     scenario = loaded(scenario, changes)
     if engine not in get_args(Engine):
@@ -164,17 +187,57 @@ def run(
         )
     if not (progress is None or callable(progress)):
         raise CosimError(f"progress is {progress!r}; a function of the simulated time is expected")
-    with assembled(scenario, fmi) as (master, values):
-        metrics.check(scenario, master.graph.components)
-        # If Ctrl-C ends the simulation, the results up to then are kept and summarised.
-        with interrupts():
+    if directory is not None and not isinstance(directory, RunDirectory):
+        directory = claim(scenario, directory, existing)
+    rows, undone = (None, nullcontext()) if directory is None else (directory.rows, directory)
+    # If Ctrl-C ends the simulation, the results up to then are kept, summarised and written.
+    with interrupts():
+        with undone, assembled(scenario, fmi, rows) as (master, values):
+            metrics.check(scenario, master.graph.components)
+            origin = provenance(scenario, master, values)
+            about = described(scenario, master.graph.components, origin, fmi=fmi, engine=engine)
+            if directory is not None:
+                directory.begin()
+                directory.describe({"run": about, "provenance": asdict(origin)})
             outcome = native.run(master, progress) if engine == "core" else master.run(progress)
             if progress is not None:
                 progress(outcome.simulated)
-            outcome.record.provenance = provenance(scenario, master, values)
-            series = metrics.errors(scenario, outcome.record, master.graph.components, values)
-            summary = metrics.summary(scenario, outcome, series)
+        outcome.record.provenance = origin
+        result = result_of(scenario, outcome, about)
+        if directory is not None:
+            result.finish(directory)
+    return result
+
+
+def result_of(
+    scenario: Scenario, outcome: Outcome, about: Mapping[str, Any], **more: Any
+) -> Result:
+    """Return the result of a run that has ended. `about` is its description.
+
+    The record must have its provenance. `more` are further members of summary.json.
+    """
+    series = metrics.errors(scenario, outcome.record)
+    run = {**about, "record_sha256": outcome.record.digest}
+    summary = {**metrics.summary(scenario, outcome, series), **more, "run": run}
     return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)
+
+
+def claim(
+    scenario: Scenario,
+    directory: str | os.PathLike[str] | None,
+    existing: Existing | None,
+    label: str | None = None,
+) -> RunDirectory:
+    """Claim a directory for a run. Raises OutputError if it is in use, or has other content.
+
+    Without `directory`, the directory is freeflyer_out/LABEL-TIME-HASH. The default of `label` is
+    the name of the scenario.
+    """
+    if directory is None:
+        return RunDirectory.unique(label or scenario.name, scenario.source)
+    if existing not in (None, *get_args(Existing)):
+        raise CosimError(f"existing is {existing!r}; None, 'keep' or 'overwrite' is expected")
+    return RunDirectory.claim(Path(text_of(directory, "the directory", OutputError)), existing)
 
 
 def parameters(

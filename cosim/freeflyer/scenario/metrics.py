@@ -16,7 +16,6 @@ from freeflyer.foundation.signal_name import split
 from freeflyer.master.graph import port
 from freeflyer.master.master import Outcome
 from freeflyer.master.record import Record
-from freeflyer.scenario.parameters import Values, current
 from freeflyer.scenario.scenario import Scenario
 
 LAST = 10.0
@@ -43,19 +42,17 @@ def orientation_error(actual: Array, desired: Array) -> Array:
 ERRORS = {"position": position_error, "orientation": orientation_error}
 
 
-def signal_or_parameter(
-    signal: str, record: Record, components: Mapping[str, Component], values: Values
-) -> Array:
+def signal_or_parameter(signal: str, record: Record) -> Array:
     """Return the values (rows, size) of a signal in a record.
 
-    The signal is a recorded output or a parameter. The value of a parameter is the same in all
-    rows. `values` has the parameter values that the scenario sets.
-    Raises GraphError if the signal does not exist.
+    The signal is a recorded output, or a parameter in the provenance of the record. The value of a
+    parameter is the same in all rows. Raises RecordError if the record has neither.
     """
-    if signal in record:
+    component, parameter = split(signal)
+    parameters = record.provenance.parameters.get(component, {}) if record.provenance else {}
+    if signal in record or parameter not in parameters:
         return np.atleast_2d(record[signal].T).T
-    port(components, signal, "errors")
-    value = current(components, values, *split(signal))
+    value = np.atleast_1d(np.asarray(parameters[parameter], dtype=float))
     return np.broadcast_to(value, (record.rows, value.size))
 
 
@@ -82,15 +79,12 @@ def check(scenario: Scenario, components: Mapping[str, Component]) -> None:
             raise ScenarioError(f"observed_energy.{name}: {signal} is not an output")
 
 
-def errors(
-    scenario: Scenario, record: Record, components: Mapping[str, Component], values: Values
-) -> dict[str, Array]:
+def errors(scenario: Scenario, record: Record) -> dict[str, Array]:
     """Return the time series (rows,) of each error. The keys are the names in summary.json."""
     series = {}
     for name, measure in scenario.errors.items():
         actual, desired = (
-            signal_or_parameter(s, record, components, values)
-            for s in (measure.actual, measure.desired)
+            signal_or_parameter(signal, record) for signal in (measure.actual, measure.desired)
         )
         series[f"{name}_error_{measure.unit}"] = ERRORS[measure.kind](actual, desired)
     return series

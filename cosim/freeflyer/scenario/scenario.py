@@ -35,7 +35,7 @@ from freeflyer.foundation.table import Shown, Table
 from freeflyer.master.connection import Connection
 from freeflyer.master.divergence import Limit
 from freeflyer.master.graph import Exchange
-from freeflyer.scenario import csv_parameters
+from freeflyer.scenario import csv_parameters, summary_file
 from freeflyer.scenario.inheritance import Raw, merged
 from freeflyer.scenario.keys import COMPONENT, ENERGY, LIMIT, MEASURE, RECORD, ROLES, SCENARIO, Kind
 from freeflyer.scenario.overrides import Changes, apply, check_changes, in_seconds, plain
@@ -123,6 +123,10 @@ class Scenario(Shown):
     """The merged scenario as TOML, for the report."""
     keeps: object = field(default=None, compare=False)
     """Object that must live as long as the scenario: the folder of the FMUs of an SSP file."""
+    changes: tuple[str, ...] = field(default=(), compare=False)
+    """The changes of `load` and `changed`, as arguments of `--set`."""
+    ssp: Mapping[str, Any] | None = field(default=None, compare=False)
+    """The arguments `path` and `step` of `load_ssp`, if the scenario is from an SSP file."""
 
     def changed(self, changes: Changes) -> Scenario:
         """Return this scenario with other values of parameters, as `load(name, changes)`.
@@ -132,7 +136,8 @@ class Scenario(Shown):
         raw = toml_file.parsed(self.source)
         apply(raw, changes)
         found = from_tables(raw, self.directory / f"{self.name}.toml")
-        return replace(found, keeps=self.keeps)
+        all_changes = (*self.changes, *texts(changes))
+        return replace(found, keeps=self.keeps, ssp=self.ssp, changes=all_changes)
 
     @property
     def table(self) -> Table:
@@ -154,13 +159,19 @@ def shipped() -> list[str]:
 
 
 def load(name: str | os.PathLike[str], changes: Changes = ()) -> Scenario:
-    """Return a shipped scenario by name, or a scenario file (.toml) by path.
+    """Return a shipped scenario by name, a scenario file (.toml) by path, or that of a run.
+
+    The scenario of a run has its changes, too; `name` is then the directory of the run.
 
     `changes` are new values of parameters: a mapping {"base_controller.period": "0.1 s"}, or a
     list of texts "base_controller.period=0.1 s". A number without a unit is in the unit of the
     parameter (SI; docs/fmu_variables.md). Raises ScenarioError.
     """
-    return from_tables(*tables(text_of(name, "the scenario", ScenarioError), changes))
+    text = text_of(name, "the scenario", ScenarioError)
+    found = from_tables(*tables(text, changes))
+    run = of_run(text)
+    before = () if run is None else run["changes"]
+    return replace(found, changes=(*before, *texts(changes)))
 
 
 def loaded(scenario: Scenario | str | os.PathLike[str], changes: Changes = ()) -> Scenario:
@@ -174,13 +185,35 @@ def tables(name: str, changes: Changes = (), beside: Path | None = None) -> tupl
     """Return the tables of a scenario and the path of its file. Raises ScenarioError.
 
     The tables contain those of the extended scenarios, and the changes are applied. The tables
-    are not checked. `name` and `beside` are the arguments of `find`.
+    are not checked. `name` and `beside` are the arguments of `find`, or `name` is the directory of
+    a run.
     """
-    path = find(name, beside)
-    raw = _read(path, ())
+    run = of_run(name)
+    if run is not None:
+        if run.get("ssp") is not None:
+            raise ScenarioError(f"{name} is a run of the SSP file {run['ssp']['path']}; `freeflyer run {name}` and `freeflyer.load_ssp` load such a system")  # fmt: skip
+        try:
+            raw = toml_file.parsed(run["scenario"])
+        except ValueError as error:
+            raise ScenarioError(f"the scenario in the summary.json of {name} is not valid TOML: {error}") from error  # fmt: skip
+        path = Path(run["directory"], f"{run['name']}.toml")
+    else:
+        path = find(name, beside)
+        raw = _read(path, ())
     apply(raw, changes)
     _expand(raw)
     return raw, path
+
+
+def of_run(name: str) -> Mapping[str, Any] | None:
+    """Return the description of a run, if `name` is the directory of a run.
+
+    The name of a shipped scenario is not a directory here. Raises RecordError.
+    """
+    if name in shipped() or not name or not os.path.isdir(name):
+        return None
+    found: Mapping[str, Any] = summary_file.read(Path(name))["run"]
+    return found
 
 
 def from_tables(raw: Raw, path: Path) -> Scenario:

@@ -33,7 +33,7 @@ from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import DIMENSIONLESS, same
 from freeflyer.scenario.inheritance import Raw
 from freeflyer.scenario.overrides import Changes, apply
-from freeflyer.scenario.scenario import Scenario, from_tables
+from freeflyer.scenario.scenario import Scenario, from_tables, texts
 from freeflyer.ssp.names import (
     ANNOTATION,
     DESCRIPTION,
@@ -68,7 +68,8 @@ def load_ssp(
     file = Path(text_of(path, "the SSP file", ScenarioError))
     unpacked = TemporaryDirectory(prefix="freeflyer-")
     found = read(file, Path(unpacked.name), step=step, overrides=changes)
-    return replace(found, keeps=unpacked)
+    source = {"path": str(file.absolute()), "step": step}
+    return replace(found, keeps=unpacked, ssp=source, changes=tuple(texts(changes)))
 
 
 def read(

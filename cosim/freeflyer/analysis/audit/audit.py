@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from freeflyer.analysis.audit import recorded_loop, report
 from freeflyer.analysis.audit.ledger import Ledger, ledger
-from freeflyer.foundation.errors import RecordError
+from freeflyer.foundation.errors import OutputError, RecordError
+from freeflyer.foundation.exit_codes import BAD_INPUT
 from freeflyer.foundation.file_name import text_of
-from freeflyer.foundation.output_file import check_writable, write_text
+from freeflyer.foundation.output_file import staged, write_text
 from freeflyer.foundation.table import Shown, Table
 from freeflyer.master.record import Record
+from freeflyer.scenario import run_directory
 from freeflyer.scenario.experiment import Result
 
 if TYPE_CHECKING:
@@ -26,8 +28,11 @@ class Audit(Shown, Ledger):
     """Result of `audit`: the ports `base` and `manipulator`, and the energy `balance` (or None).
 
     Energies [J] flow into the robot; `time` [s] has the shape (n). `notes` are the limitations of
-    this audit. docs/energy_audit.md explains every member.
+    this audit. `record_sha256` is `Record.digest` of the audited record. docs/energy_audit.md
+    explains every member.
     """
+
+    record_sha256: str
 
     @property
     def table(self) -> Table:
@@ -51,13 +56,32 @@ class Audit(Shown, Ledger):
         return figure.draw(self)
 
     def write(self, directory: str | os.PathLike[str]) -> None:
-        """Write energy_audit.png, energy_audit.pdf and energy_audit.json. Raises OutputError."""
+        """Write energy_audit.png, energy_audit.pdf and energy_audit.json.
+
+        Raises OutputError if a file cannot be written, or if the directory has another record.
+        """
         from freeflyer.scenario.figure_style import save
 
-        folder = Path(directory)
-        check_writable(folder)
-        save(self.plot(), folder / "energy_audit.png")
-        write_text(folder / "energy_audit.json", json.dumps(self.summary, indent=2) + "\n")
+        folder = Path(text_of(directory, "the directory", OutputError))
+        try:
+            with staged(folder) as stage:
+                self._check(folder)
+                save(self.plot(), stage / "energy_audit.png")
+                content = {**self.summary, "record_sha256": self.record_sha256}
+                write_text(stage / "energy_audit.json", json.dumps(content, indent=2) + "\n")
+        except OSError as error:
+            failure = OutputError(f"the audit cannot be written to {folder}: {error.strerror or error}")  # fmt: skip
+            failure.exit_code = BAD_INPUT
+            raise failure from error
+
+    def _check(self, folder: Path) -> None:
+        """Raise OutputError if the folder belongs to another run, or to one that still runs."""
+        user = run_directory.owner(folder)
+        if user is not None:
+            raise OutputError(f"the audit cannot be written to {folder}, which is in use by {user}")
+        path = folder / run_directory.RECORD
+        if path.exists() and Record.read(path).digest != self.record_sha256:
+            raise OutputError(f"{folder} has the record of another run than the audited one; choose another directory")  # fmt: skip
 
 
 def audit(source: Result | Record | str | os.PathLike[str]) -> Audit:
@@ -74,4 +98,4 @@ def audit(source: Result | Record | str | os.PathLike[str]) -> Audit:
         if isinstance(source, Record)
         else report.read(Path(text_of(source, "the record", RecordError)))
     )
-    return Audit(**vars(ledger(recorded_loop.find(record))))
+    return Audit(**vars(ledger(recorded_loop.find(record))), record_sha256=record.digest)

@@ -21,11 +21,11 @@ from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import DIMENSIONLESS, converted, factor
 from freeflyer.master import schedule
-from freeflyer.scenario import assemble, metrics, parameters, scenario
+from freeflyer.scenario import assemble, description, metrics, parameters, scenario
 from freeflyer.scenario.assemble import System
 from freeflyer.scenario.inheritance import Raw
 from freeflyer.scenario.overrides import assign
-from freeflyer.scenario.scenario import ComponentSpec, Scenario
+from freeflyer.scenario.scenario import Scenario
 from freeflyer.scenario.steps import communication_steps
 
 Assignments = tuple[tuple[str, Any], ...]
@@ -326,31 +326,9 @@ def _first_user(plain: Scenario, system: System, parameter: str) -> str:
 
 
 def files(plain: Scenario, system: System, evaluated_by: str | None) -> dict[str, str]:
-    """Return the SHA-256 of the files of each component, and of the evaluation `evaluated_by`.
-
-    The files of a component are its FMU and the existing files among its options.
-    """
-    found = {}
+    """Return the SHA-256 of the files of each component, and of the evaluation `evaluated_by`."""
+    found = description.files(plain, system.components)
     own = evaluation.source(evaluated_by)
     if own is not None:
         found["(evaluation)"] = hashlib.sha256(own.read_bytes()).hexdigest()
-    for spec in plain.components:
-        digest = hashlib.sha256()
-        named = [
-            getattr(system.components[spec.name], "path", None),
-            *_named(spec, plain.directory),
-        ]
-        for path in named:
-            if isinstance(path, Path):
-                digest.update(path.read_bytes())
-        found[spec.name] = digest.hexdigest()
     return found
-
-
-def _named(spec: ComponentSpec, directory: Path) -> list[Path]:
-    """Return the existing files among the options of a component.
-
-    Such an option has the form FILE.fmu, FILE.py or FILE.py:CALLABLE.
-    """
-    paths = [directory / str(value).partition(":")[0] for value in spec.options.values()]
-    return [path for path in paths if path.suffix and path.is_file()]

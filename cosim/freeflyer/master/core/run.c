@@ -1,6 +1,7 @@
 #include "slave.h"
 
 #include <math.h>
+#include <stdatomic.h>
 
 #if defined(_WIN32)
 #define EXPORT __declspec(dllexport)
@@ -82,13 +83,16 @@ static bool limit_exceeded(Core *core)
     return false;
 }
 
+/* Write a row of the record. The time is written after the values: if the process dies in between,
+   the row counts as not written. */
 static void record(Core *core, int64_t k)
 {
     double *row = core->row + (size_t)core->rows * core->columns;
-    core->row_time[core->rows++] = seconds(k * core->tick);
     for (size_t i = 0; i < core->columns; i++) {
         row[i] = *core->recorded[i];
     }
+    atomic_signal_fence(memory_order_release);
+    core->row_time[core->rows++] = seconds(k * core->tick);
 }
 
 /* Read the outputs of the plants (all slaves except the controllers) whose step ends at instant k.

@@ -1,0 +1,381 @@
+"""Output directory of one run.
+
+A process claims a directory by creating the folder `unfinished` in it. `os.mkdir` succeeds in only
+one process. Therefore two runs never write to the same directory. The folder contains the identity
+of the process, the description of the run, and the rows of its record while the run lasts.
+`summary.json` is written last, and then the folder is removed. A directory without `summary.json`
+is an incomplete run.
+
+Only `mkdir` and `rename` must be atomic. No file of a run is moved while the run lasts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import glob
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from freeflyer.foundation import process_identity
+from freeflyer.foundation.errors import CosimError, OutputError
+from freeflyer.foundation.exit_codes import BAD_INPUT
+from freeflyer.foundation.output_file import write_text, write_whole
+
+OUT = Path("freeflyer_out")
+"""Folder of the runs for which no directory is given."""
+SUMMARY, RECORD, STOP, UNFINISHED = "summary.json", "record.parquet", "stop.json", "unfinished"
+ROWS, PROCESS, DESCRIPTION = "record.rows", "process.json", "run.json"
+"""Files in the folder `unfinished`."""
+DEAD = f"{UNFINISHED}.dead"
+WRITTEN = (SUMMARY, RECORD, STOP, "facility.json", "energy_audit.*", "report.html", "recording*.mcap", "flight_recording*.mcap", "can*.blf", "can*.asc")  # fmt: skip
+"""Patterns of the files that runs and their audits write. `overwrite` removes no other file."""
+NEW_CLAIM = 10.0
+"""Time [s] after which a claim without the identity of its process is not in use."""
+
+Existing = Literal["keep", "overwrite"]
+"""What happens to a directory that is not empty.
+
+"keep" renames the directory to DIR.1, or to the next free number. "overwrite" removes the files of
+the earlier run. Without either, a finished run is kept and any other content is an error.
+"""
+State = Literal["missing", "empty", "finished", "running", "incomplete", "other"]
+
+
+def state(directory: Path) -> State:
+    """Return the state of a directory. Raises OSError if the directory cannot be read.
+
+    "finished": it has a summary.json, or the stop.json of devices that have not started.
+    "running", "incomplete": a run that has not finished; its process runs, or has ended. "other":
+    any other content.
+    """
+    try:
+        names = set(os.listdir(directory))
+    except FileNotFoundError:
+        return "missing"
+    if SUMMARY in names:
+        return "finished"
+    if UNFINISHED in names:
+        return "running" if owner(directory) else "incomplete"
+    if STOP in names:
+        return "finished"
+    return "incomplete" if DEAD in names else "other" if names else "empty"
+
+
+def owner(directory: Path) -> str | None:
+    """Return which process has claimed a directory, in words. None: no process uses it now."""
+    claim = directory / UNFINISHED
+    try:
+        identity = json.loads((claim / PROCESS).read_text(encoding="utf-8"))
+        running = process_identity.is_running(identity)
+    except (OSError, ValueError, AttributeError):
+        with contextlib.suppress(OSError):
+            if abs(time.time() - claim.stat().st_mtime) < NEW_CLAIM:
+                return "a process that has just started"
+        return None
+    if running is None:
+        host = str(identity.get("host", "")).partition(" ")[0]
+        return f"process {identity.get('pid')} on {host or 'another machine'}, or that process has ended: remove {claim} in this case"
+    return f"process {identity['pid']}" if running else None
+
+
+def newer_incomplete(link: Path) -> list[Path]:
+    """Return the incomplete runs that began after the run to which `link` links, the newest first.
+
+    If `link` is not a link that `finish` has made, the list is empty.
+    """
+    if not link.is_symlink():
+        return []
+    newest = link.resolve().name
+    beside = sorted(link.parent.glob(f"{glob.escape(link.name)}-*"), reverse=True)
+    return [path for path in beside if path.name > newest and state(path) == "incomplete"]
+
+
+class RunDirectory:
+    """A directory that this process has claimed for one run.
+
+    Use `claim` or `unique` to create an object. Then call `begin` before the first step, and
+    `finish` after the last. As a context, it undoes everything if the run does not begin. `path` is
+    the directory. `notes` are sentences about what was done to other directories.
+    """
+
+    path: Path
+    notes: list[str]
+
+    @classmethod
+    def unique(cls, label: str, about: str, parent: Path = OUT) -> RunDirectory:
+        """Claim a new directory PARENT/LABEL-TIME-HASH. `about` is the text that is hashed.
+
+        `finish` makes PARENT/LABEL a link to the directory. Raises OutputError.
+        """
+        import hashlib
+
+        digest = hashlib.sha256(about.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+        name = f"{label}-{time.strftime('%Y%m%d-%H%M%S')}-{digest}"
+        number = 1
+        while True:
+            try:
+                return cls(parent / (name if number == 1 else f"{name}-{number}"), new=True, link=parent / label)  # fmt: skip
+            except FileExistsError:
+                number += 1
+
+    @classmethod
+    def claim(cls, directory: Path, existing: Existing | None = None) -> RunDirectory:
+        """Claim a directory. Raises OutputError if it is in use, or has other content.
+
+        `existing` is what happens to the content of the directory (`Existing`).
+        """
+        return cls(directory, existing=existing)
+
+    @classmethod
+    def take_over(cls, directory: Path) -> RunDirectory:
+        """Claim the directory of an incomplete run, to complete it. Raises OutputError."""
+        found = cls(directory, existing="overwrite")
+        found._begun = found._took_over
+        if not found._took_over:
+            found.abandon()
+            raise _error(f"{directory} is not the directory of an incomplete run")
+        return found
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        existing: Existing | None = None,
+        new: bool = False,
+        link: Path | None = None,
+    ) -> None:
+        if path.name in ("", ".."):
+            path = Path(os.path.abspath(path))
+        self.path, self.notes = path, []
+        self._existing, self._link, self._aside = existing, link, False
+        self._made: list[Path] = []
+        self._took_over = self._begun = False
+        self._moved_to: Path | None = None
+        try:
+            if path.is_symlink():
+                raise OSError(errno.EEXIST, f"it is a symbolic link to {os.readlink(path)}; give the target, or another directory")  # fmt: skip
+            found = "missing" if new else state(path)
+            if found in ("other", "incomplete") and existing is None:
+                text = "an incomplete run (`freeflyer recover` completes it)" if found == "incomplete" else "other files than a run"  # fmt: skip
+                raise OSError(errno.EEXIST, f"it contains {text}; choose another directory, or rename it by --keep, or replace its results by --overwrite")  # fmt: skip
+            self._make(path, exclusive=new)
+            self._lock()
+            # The content may have changed before the directory was claimed.
+            self._aside = existing != "overwrite" and os.listdir(path) != [UNFINISHED]
+            if self._aside and os.path.samefile(path, os.curdir):
+                raise OSError(errno.EEXIST, "it is the current directory and is not empty; choose another directory, or replace its results by --overwrite")  # fmt: skip
+        except FileExistsError as error:
+            self.abandon()
+            if new and error.strerror == os.strerror(errno.EEXIST):
+                raise
+            raise _refused(path, error) from error
+        except OSError as error:
+            self.abandon()
+            raise _refused(path, error) from error
+        except OutputError:
+            self.abandon()
+            raise
+
+    def _make(self, path: Path, *, exclusive: bool) -> None:
+        """Create the directory and its missing parents."""
+        missing = [path]
+        while not missing[-1].parent.exists() and missing[-1].parent != missing[-1]:
+            missing.append(missing[-1].parent)
+        for folder in reversed(missing):
+            try:
+                folder.mkdir()
+                self._made.append(folder)
+            except FileExistsError:
+                if (exclusive and folder == path) or not folder.is_dir():
+                    raise
+
+    def _lock(self) -> None:
+        """Create the folder `unfinished`, which only one process can do."""
+        folder = self.path / UNFINISHED
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            user = owner(self.path)
+            if user is not None:
+                self._made = []
+                raise _error(f"output directory {self.path} is in use by {user}; wait until it ends, or choose another directory") from None  # fmt: skip
+            # Only one process succeeds in renaming the folder. If an earlier process has renamed
+            # one before, and died before it began, its own folder has no results.
+            if (self.path / DEAD).exists():
+                dead = self.path / f"{UNFINISHED}.{os.getpid()}-{time.monotonic_ns()}"
+                os.rename(folder, dead)
+                shutil.rmtree(dead)
+            else:
+                os.rename(folder, self.path / DEAD)
+            folder.mkdir()
+        self._took_over = (self.path / DEAD).exists()
+        self._made.append(folder)
+        self._identity = os.stat(folder).st_ino
+        write_text(folder / PROCESS, json.dumps(process_identity.present()))
+
+    @property
+    def rows(self) -> Path:
+        """Path of the file for the rows of the record."""
+        return self.path / UNFINISHED / ROWS
+
+    def begin(self) -> None:
+        """Set earlier content aside, or remove it. Raises OutputError."""
+        try:
+            if self._aside:
+                self._set_aside()
+            elif self._existing == "overwrite":
+                shutil.rmtree(self.path / DEAD, ignore_errors=True)
+                for pattern in WRITTEN:
+                    for file in self.path.glob(pattern):
+                        file.unlink()
+        except OSError as error:
+            raise _refused(self.path, error) from error
+        self._begun = True
+
+    def describe(self, description: Mapping[str, Any]) -> None:
+        """Store what is run, for `saved_run.complete`. Raises OutputError."""
+        write_text(self.path / UNFINISHED / DESCRIPTION, json.dumps(description))
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, place: object) -> None:
+        """Undo everything if the run did not begin, or failed at its first instant."""
+        if error is not None and (not self._begun or isinstance(error, CosimError)):
+            self.abandon()
+
+    def _set_aside(self) -> None:
+        """Rename the directory, and create it again with the folder `unfinished`."""
+        what = "the run before" if state(self.path) == "finished" else "the earlier content"
+        aside = _free_name(self.path)
+        try:
+            os.rename(self.path, aside)  # replaces the empty folder
+        except OSError:
+            aside.rmdir()
+            raise
+        fresh = self.path.with_name(f"{self.path.name}.claim-{os.getpid()}-{time.monotonic_ns()}")
+        fresh.mkdir()
+        os.rename(aside / UNFINISHED, fresh / UNFINISHED)
+        try:
+            os.rename(fresh, self.path)
+        except OSError as error:
+            shutil.rmtree(fresh)
+            raise OSError(error.errno, f"another process has claimed it; {what} is now {aside}") from error  # fmt: skip
+        with contextlib.suppress(FileNotFoundError):
+            os.rename(aside / DEAD, aside / UNFINISHED)
+        self.notes.append(f"{what} still exists: {aside}")
+        self._moved_to, self._made = aside, [self.path, self.path / UNFINISHED]
+
+    def finish(
+        self, files: Mapping[str, Callable[[Path], object]], summary: Mapping[str, Any]
+    ) -> None:
+        """Write the files, and then summary.json. A file is written by a function of its path.
+
+        Raises OutputError if a file cannot be written. The run then stays incomplete, with its
+        rows.
+        """
+        self._replace_if_removed()
+        rows = self.rows if self.rows.exists() else None
+        try:
+            for name, write in files.items():
+                write_whole(self.path / name, write, durable=True)
+            text = json.dumps(summary, indent=2) + "\n"
+            write_whole(self.path / SUMMARY, lambda partial: partial.write_text(text, encoding="utf-8"), durable=True)  # fmt: skip
+        except OutputError as error:
+            if rows is None:
+                raise
+            raise OutputError(f"{error}. The rows of the record are kept in {rows}; `freeflyer recover {self.path}` writes the results later") from error  # fmt: skip
+        for name in (DEAD, UNFINISHED):
+            shutil.rmtree(self.path / name, ignore_errors=True)
+        if self._link is not None:
+            self.notes += _link(self._link, self.path)
+
+    def _replace_if_removed(self) -> None:
+        """If the directory was removed or replaced during the run, claim another one."""
+        with contextlib.suppress(OSError):
+            if os.stat(self.path / UNFINISHED).st_ino == self._identity:
+                return
+        lost = self.path
+        other = RunDirectory.claim(_free_name(lost), None)
+        self.path, self._identity = other.path, other._identity
+        self.notes.append(f"{lost} was removed or renamed during the run; the results are in {self.path} instead")  # fmt: skip
+
+    def abandon(self) -> None:
+        """Remove the directory, and restore what was there before. Use it before the first row."""
+        for made in reversed(self._made):
+            with contextlib.suppress(OSError):
+                shutil.rmtree(made) if made.name == UNFINISHED else made.rmdir()
+        with contextlib.suppress(OSError):
+            if self._moved_to is not None and not self.path.exists():
+                os.rename(self._moved_to, self.path)
+            elif self._took_over:
+                os.rename(self.path / DEAD, self.path / UNFINISHED)
+        self._made, self._moved_to, self._took_over = [], None, False
+
+    @property
+    def lines(self) -> Iterator[str]:
+        """Sentences for the user: the directory of the results, and `notes`."""
+        yield f"Results in {self.path}: {RECORD}, {SUMMARY}"
+        yield from self.notes
+
+
+def _link(link: Path, target: Path) -> list[str]:
+    """Make `link` a relative symbolic link to the directory `target` beside it. Return notes.
+
+    A directory of an earlier version of this package, which is not a link, is renamed.
+    """
+    notes, before = [], None
+    new = link.with_name(f"{link.name}.link-{os.getpid()}-{time.monotonic_ns()}")
+    try:
+        if link.is_symlink():
+            before = link.with_name(os.readlink(link))
+        elif os.path.lexists(link):
+            if not (link / SUMMARY).is_file():
+                return [f"{link} is not a run, and stays as it is; therefore it is no link to the newest run"]  # fmt: skip
+            aside = _free_name(link)
+            os.rename(link, aside)
+            notes.append(f"{link} was a directory, and is now {aside}")
+        os.symlink(target.name, new, target_is_directory=True)
+        os.rename(new, link)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            new.unlink()
+        return [*notes, f"there is no link {link} to the newest run: {error.strerror or error}"]
+    notes.append(f"{link} links to this run")
+    if before is not None and before != target and before.is_dir():
+        notes[-1] += f"; the run before still exists: {before}"
+    return notes
+
+
+def _free_name(path: Path) -> Path:
+    """Create the empty folder PATH.1, or that with the next free number."""
+    number = 1
+    while True:
+        free = path.with_name(f"{path.name}.{number}")
+        try:
+            free.mkdir()
+        except FileExistsError:
+            number += 1
+        else:
+            return free
+
+
+def _refused(path: Path, error: OSError) -> OutputError:
+    """Return the error with exit code 2 for a directory that cannot be used."""
+    reason = error.strerror or str(error)
+    above = next((one for one in (path, *path.parents) if os.path.lexists(one)), path)
+    if not above.is_dir():
+        reason = f"{above} is not a directory"
+    return _error(f"output directory {path} cannot be used: {reason}")
+
+
+def _error(text: str) -> OutputError:
+    failure = OutputError(text)
+    failure.exit_code = BAD_INPUT
+    return failure

@@ -1,0 +1,115 @@
+"""Open the directory of a run again, and complete the directory of a run whose process has died."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+from freeflyer.foundation.errors import OutputError, RecordError, one_line
+from freeflyer.foundation.file_name import text_of
+from freeflyer.foundation.toml_file import parsed
+from freeflyer.master.master import Outcome
+from freeflyer.master.provenance import Provenance
+from freeflyer.master.record import Record
+from freeflyer.scenario import metrics, run_directory, summary_file
+from freeflyer.scenario.experiment import Result, result_of
+from freeflyer.scenario.run_directory import DEAD, DESCRIPTION, RECORD, ROWS, RunDirectory
+from freeflyer.scenario.scenario import Scenario, from_tables
+
+DIED = "the process ended before the run had finished"
+
+
+def open_run(directory: str | os.PathLike[str]) -> Result:
+    """Return the result of a finished run from its directory. Nothing is simulated.
+
+    Raises RecordError if the directory is not one of a finished run, or if the record has been
+    changed after the run.
+    """
+    folder = Path(text_of(directory, "the run", RecordError))
+    _check_finished(folder)
+    summary = summary_file.read(folder)
+    record = Record.read(folder / RECORD)
+    if record.digest != summary["run"]["record_sha256"]:
+        raise RecordError(f"{folder / RECORD} is not the record that the run has written: its content was changed; `Record.read` reads it without this check")  # fmt: skip
+    scenario = _scenario(folder, summary["run"])
+    try:
+        outcome = Outcome(
+            record=record,
+            simulated=summary["simulated_s"],
+            wall=math.nan if summary["wall_s"] is None else summary["wall_s"],
+            **{
+                key: summary[key] for key in ("steps", "diverged", "failed", "cause", "interrupted")
+            },
+        )
+        errors = metrics.errors(scenario, record)
+        result = Result(scenario=scenario, outcome=outcome, errors=errors, summary=summary)
+        _ = result.table  # needs all values of summary.json
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise RecordError(f"{folder / 'summary.json'} was changed after the run: {one_line(error)}") from error  # fmt: skip
+    return result
+
+
+def _check_finished(folder: Path) -> None:
+    """Raise RecordError if a directory is not one of a finished run."""
+    try:
+        found = run_directory.state(folder)
+    except OSError as error:
+        raise RecordError(f"run {folder} cannot be read: {error.strerror}") from error
+    if found in ("running", "incomplete"):
+        what = (
+            f"{run_directory.owner(folder)} still writes it"
+            if found == "running"
+            else "its process has ended; `freeflyer recover` completes it"
+        )
+        raise RecordError(f"run {folder} is not finished: {what}")
+    if found != "finished":
+        raise RecordError(f"{folder} is not the directory of a run: it " + ("does not exist" if found == "missing" else "has no summary.json"))  # fmt: skip
+
+
+def _scenario(folder: Path, run: dict[str, Any]) -> Scenario:
+    try:
+        raw = parsed(run["scenario"])
+    except ValueError as error:
+        raise RecordError(f"the scenario in the summary.json of {folder} is not valid TOML: {error}") from error  # fmt: skip
+    return from_tables(raw, Path(run["directory"], f"{run['name']}.toml"))
+
+
+def complete(directory: Path) -> tuple[Result, RunDirectory]:
+    """Write the results of a run whose process has died, from its rows.
+
+    The result has the verdict "interrupted". Raises RecordError if the process still runs, or if no
+    row was written. Raises OutputError.
+    """
+    claimed = RunDirectory.take_over(directory)
+    with claimed:
+        rows = directory / DEAD
+        try:
+            described = json.loads((rows / DESCRIPTION).read_text(encoding="utf-8"))
+            provenance = Provenance.from_json(json.dumps(described["provenance"]))
+            about = described["run"]
+            scenario = _scenario(directory, about)
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            raise RecordError(f"run {directory} had not begun when its process ended; there is nothing to recover") from error  # fmt: skip
+        record = Record.from_rows(rows / ROWS)
+        if not record.rows:
+            raise RecordError(f"run {directory} has no row yet; there is nothing to recover")
+        record.provenance = provenance
+        outcome = Outcome(
+            record=record,
+            simulated=float(record.time[-1]),
+            wall=math.nan,
+            steps={},
+            interrupted=True,
+            cause=DIED,
+        )
+        result = result_of(scenario, outcome, about)
+        result.summary["wall_s"] = None  # type: ignore[index]
+    try:
+        result.finish(claimed)
+    except OutputError:
+        claimed.abandon()
+        raise
+    return result, claimed
