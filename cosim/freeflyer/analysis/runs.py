@@ -60,12 +60,12 @@ class SavedRun:
 
     @cached_property
     def parameters(self) -> Mapping[str, Any]:
-        """All parameters of the run: {"base_controller.period": 0.3, ...}."""
+        """All parameters of the run [SI]: {"base_controller.period": 0.3, ...}."""
         return flat(self.summary["run"]["parameters"]) if self.summary else {}
 
     @property
     def numbers(self) -> Mapping[str, Any]:
-        """Largest errors, least observed energies and the simulated time, by name."""
+        """Largest errors [m, deg], least observed energies [J] and the simulated time [s]."""
         found: dict[str, Any] = {}
         for name, value in self.summary.items():
             if isinstance(value, dict) and "_error_" in name:
@@ -76,6 +76,7 @@ class SavedRun:
 
     @property
     def as_json(self) -> dict[str, Any]:
+        """The content that `freeflyer runs --json` prints."""
         return {
             "directory": str(self.directory),
             "state": self.state,
@@ -86,7 +87,10 @@ class SavedRun:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Runs(Shown):
-    """Runs, the newest first. Iterate over its `SavedRun`s, or show it as a table."""
+    """Runs, the newest first. Iterate over its `SavedRun`s, or show it as a table.
+
+    Errors are in m and deg, energies in J, and times in s.
+    """
 
     folder: str
     found: Sequence[SavedRun]
@@ -168,7 +172,8 @@ def runs(
 
     `folder` is a folder that contains the directories of runs, the directory of one run, or a list
     of both. `scenario` selects the runs of one scenario, `end` those that ended so (`SavedRun`).
-    `where` selects the runs with these values of parameters: {"base_controller.period": 0.1}.
+    `where` selects the runs with these values of parameters, for example a period [s]:
+    {"base_controller.period": 0.1}.
     Raises RecordError if a folder does not exist.
     """
     single = isinstance(folder, str | os.PathLike)

@@ -485,7 +485,14 @@ def texts(changes: Changes) -> list[str]:
     check_changes(changes)
     if not isinstance(changes, Mapping):
         return list(changes)
-    return [f"{target}={literal(plain(value, target))}" for target, value in changes.items()]
+    return [f"{target}={_as_set(plain(value, target))}" for target, value in changes.items()]
+
+
+def _as_set(value: object) -> str:
+    """Return a value as the VALUE of `--set`."""
+    if isinstance(value, dict) and value.keys() == {"value", "unit"}:
+        return f"{literal(value['value']).removesuffix('.0')} {value['unit']}"
+    return literal(value)
 
 
 def _key(name: str) -> str:
