@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
@@ -12,26 +11,18 @@ from rich.progress import Progress
 from freeflyer.foundation.errors import RecordError
 from freeflyer.foundation.exit_codes import DONE
 from freeflyer.foundation.interrupts import interrupts
-from freeflyer.scenario.run_directory import ROWS, UNFINISHED, newer_incomplete
+from freeflyer.scenario.run_directory import (
+    ROWS,
+    UNFINISHED,
+    RunDirectory,
+    newer_incomplete,
+    state,
+)
 from freeflyer.scenario.saved_run import complete
 from freeflyer_adapters.recording.recover import recover, rings_of, unfinished
 
 
 class RecoverCommand:
-    _completed = 0
-
-    def _of_run(self, directory: Path, console: Console) -> Iterator[Path]:
-        """Write the results of an incomplete run from its rows. Yield its damaged files."""
-        yield from unfinished(directory)
-        if directory.is_symlink() or not (directory / UNFINISHED / ROWS).exists():
-            return
-        result, _ = complete(directory)
-        self._completed += 1
-        console.print(
-            f"{directory}: kept {result.record.rows} rows, up to {result.outcome.simulated:g} s: record.parquet, summary.json",
-            soft_wrap=True,
-        )
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "path",
@@ -52,22 +43,22 @@ class RecoverCommand:
             raise RecordError(
                 "the file name contains a zero byte; a file name without zero bytes is expected"
             )
-        paths = [path]
-        if path.is_dir():
+        paths, runs = [path], list[Path]()
+        newer = newer_incomplete(path)
+        if path.is_dir() or newer:
             if out is not None:
                 raise RecordError(
                     f"--out {out}: {path} is a directory, and the recovered files are always written to this directory; omit --out"
                 )
-            newer = newer_incomplete(path)
             for run in newer:
-                console.print(f"{run} is newer than {path} and incomplete", soft_wrap=True)
-            paths = [*newer, path] if path.is_symlink() else [path]
-            found = [file for run in paths for file in self._of_run(run, console)]
-            if not found and not self._completed:
+                console.print(f"{run} is newer and incomplete", soft_wrap=True)
+            runs = [*newer, *([path] if path.is_dir() else [])]
+            paths = [file for run in runs for file in unfinished(run)]
+            runs = [run for run in runs if state(run) == "incomplete"]
+            if not paths and not runs:
                 raise RecordError(
                     f"{path} has no rows of an incomplete run, no recording, no CAN log and no ring of a run"
                 )
-            paths = found
         elif path.suffix.lower() == ".mcap" and path.is_file():
             paths = [*rings_of(path.parent), path]
         with (
@@ -84,4 +75,14 @@ class RecoverCommand:
 
                 done = recover(one, out if one is path else None, show)
                 console.print(done.sentence, soft_wrap=True)
+        # The folder `unfinished` is removed last: until then, the run stays incomplete.
+        for run in runs:
+            if not (run / UNFINISHED / ROWS).exists():  # a run with devices has only recordings
+                RunDirectory.take_over(run).release()
+                continue
+            result, _ = complete(run)
+            console.print(
+                f"{run}: kept {result.record.rows} rows, up to {result.outcome.simulated:g} s: record.parquet, summary.json",
+                soft_wrap=True,
+            )
         return DONE

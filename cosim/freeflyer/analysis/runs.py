@@ -26,6 +26,8 @@ RunState = Literal[
 """How a run has ended. "unreadable": its summary.json is damaged, or of another version."""
 
 
+LONGEST_CELL = 70
+"""Longest text about changes in the table."""
 ENDS: Sequence[RunState] = ("interrupted", "failed", "diverged")
 
 
@@ -117,7 +119,7 @@ class Runs(Shown):
                     run.state,
                     _shown(run.summary.get("simulated_s")),
                     " ".join(map(_shown, errors[:2])),
-                    run.remark or ", ".join(run.changes),
+                    one_line(run.remark or ", ".join(run.changes), LONGEST_CELL),
                 )
             )
         return Table(
@@ -199,19 +201,14 @@ def runs(
 def _directories(folder: Path) -> Iterator[Path]:
     """Yield the directories of runs in a folder, without links. A run itself is yielded."""
     try:
-        if run_directory.state(folder) in ("finished", "running", "incomplete"):
+        if run_directory.is_run(folder):
             yield folder
             return
         with os.scandir(folder) as entries:
             paths = [folder / entry.name for entry in entries if entry.is_dir(follow_symlinks=False)]  # fmt: skip
     except OSError as error:
         raise RecordError(f"folder {folder} cannot be read: {error.strerror}; a folder with runs is expected") from error  # fmt: skip
-    for path in sorted(paths):
-        try:
-            if run_directory.state(path) in ("finished", "running", "incomplete"):
-                yield path
-        except OSError:
-            continue  # the directory of another user, or removed since
+    yield from filter(run_directory.is_run, sorted(paths))
 
 
 def saved_run(directory: Path) -> SavedRun:
@@ -234,13 +231,12 @@ def saved_run(directory: Path) -> SavedRun:
 
 
 def _reason_of_stop(directory: Path) -> str:
-    """Return the reason for which the devices of a run have not started."""
+    """Return the reason of the stop of devices, if their run has no summary.json."""
     try:
-        return str(
-            json.loads((directory / run_directory.STOP).read_text(encoding="utf-8"))["reason"]
-        )
+        content = (directory / run_directory.STOP).read_text(encoding="utf-8")
+        return str(json.loads(content)["reason"] or "the process died; its recordings are restored")
     except (OSError, ValueError, LookupError, TypeError):
-        return "the devices have not started"
+        return "stop.json cannot be read"
 
 
 def _equal(run: SavedRun, target: str, value: Any) -> bool:

@@ -67,6 +67,14 @@ def state(directory: Path) -> State:
     return "incomplete" if DEAD in names else "other" if names else "empty"
 
 
+def is_run(directory: Path) -> bool:
+    """Return whether a directory is one of a run: finished, running or incomplete."""
+    try:
+        return state(directory) in ("finished", "running", "incomplete")
+    except OSError:
+        return False
+
+
 def owner(directory: Path) -> str | None:
     """Return which process has claimed a directory, in words. None: no process uses it now."""
     claim = directory / UNFINISHED
@@ -87,9 +95,10 @@ def owner(directory: Path) -> str | None:
 def newer_incomplete(link: Path) -> list[Path]:
     """Return the incomplete runs that began after the run to which `link` links, the newest first.
 
-    If `link` is not a link that `finish` has made, the list is empty.
+    If there is no `link` yet, these are all incomplete runs of its name. If `link` is a directory
+    or a file, the list is empty.
     """
-    if not link.is_symlink():
+    if os.path.lexists(link) and not link.is_symlink():
         return []
     newest = link.resolve().name
     beside = sorted(link.parent.glob(f"{glob.escape(link.name)}-*"), reverse=True)
@@ -291,10 +300,14 @@ class RunDirectory:
             if rows is None:
                 raise
             raise OutputError(f"{error}. The rows of the record are kept in {rows}; `freeflyer recover {self.path}` writes the results later") from error  # fmt: skip
-        for name in (DEAD, UNFINISHED):
-            shutil.rmtree(self.path / name, ignore_errors=True)
+        self.release()
         if self._link is not None:
             self.notes += _link(self._link, self.path)
+
+    def release(self) -> None:
+        """Remove the folder `unfinished`: the run is complete, or nothing more can be completed."""
+        for name in (DEAD, UNFINISHED):
+            shutil.rmtree(self.path / name, ignore_errors=True)
 
     def _replace_if_removed(self) -> None:
         """If the directory was removed or replaced during the run, claim another one."""

@@ -25,8 +25,9 @@ DIED = "the process ended before the run had finished"
 def open_run(directory: str | os.PathLike[str]) -> Result:
     """Return the result of a finished run from its directory. Nothing is simulated.
 
-    `directory` is the directory of the run. The errors of the result are in [m] and [deg]. Raises RecordError if the directory is not one of a finished run, or if the record has been
-    changed after the run.
+    `directory` is the directory of the run. The errors of the result are in [m] and [deg]. Raises
+    RecordError if the directory is not one of a finished run, or if the record has been changed
+    after the run.
     """
     folder = Path(text_of(directory, "the run", RecordError))
     _check_finished(folder)

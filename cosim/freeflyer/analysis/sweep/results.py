@@ -26,7 +26,7 @@ from freeflyer.analysis.sweep.task import Row
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.output_file import check_writable, write_text, write_whole
 from freeflyer.foundation.plugins import described
-from freeflyer.scenario import metrics, scenario
+from freeflyer.scenario import metrics, run_directory, scenario
 
 PLAN, PARTS, RESULTS = "sweep.json", "parts", "results.parquet"
 
@@ -45,6 +45,8 @@ class Results:
 
         Raises ScenarioError if the directory is locked, or if it has results of another sweep.
         """
+        if not (self.directory / PLAN).exists() and run_directory.is_run(self.directory):
+            raise ScenarioError(f"{self.directory} is the directory of a run, or a link to it; choose another --out for the sweep")  # fmt: skip
         check_writable(self.directory)
         with (self.directory / ".lock").open("w") as lock:
             try:
