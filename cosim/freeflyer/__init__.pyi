@@ -1,5 +1,6 @@
 from .analysis.audit.audit import Audit as Audit
 from .analysis.audit.audit import audit as audit
+from .analysis.open_run import open_run as open_run
 from .analysis.prediction.predict import Prediction as Prediction
 from .analysis.prediction.predict import predict as predict
 from .analysis.runs import Runs as Runs
@@ -23,7 +24,6 @@ from .master.record import Record as Record
 from .scenario.experiment import Result as Result
 from .scenario.experiment import parameters as parameters
 from .scenario.experiment import run as run
-from .scenario.saved_run import open_run as open_run
 from .scenario.scenario import Scenario as Scenario
 from .scenario.scenario import load as load
 from .ssp.read import load_ssp as load_ssp

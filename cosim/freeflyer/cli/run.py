@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import get_args
 
@@ -14,6 +14,7 @@ from freeflyer.cli.console import as_rich
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.scenario import experiment, scenario
 from freeflyer.scenario.directory_option import add_directory
+from freeflyer.scenario.experiment import Result
 from freeflyer.scenario.saved_run import open_run
 from freeflyer.scenario.scenario import Scenario, of_run
 from freeflyer.scenario.verdict import verdict
@@ -84,6 +85,12 @@ class RunCommand:
             default="core",
             help="master that steps the FMUs: native code (default) or Python with FMPy; the results are equal",
         )
+        parser.add_argument(
+            "--case",
+            type=int,
+            metavar="N",
+            help="SCENARIO is the directory of a sweep: repeat its run N, with a complete record",
+        )
         add_directory(
             parser, "freeflyer_out/SCENARIO-TIME-HASH; freeflyer_out/SCENARIO links to it"
         )
@@ -91,15 +98,25 @@ class RunCommand:
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         if arguments.fmi is not None and arguments.scenario.lower().endswith(".ssp"):
             raise ScenarioError("--fmi belongs to scenarios; an .ssp file contains its own FMUs")
-        chosen = loaded(arguments.scenario, arguments.overrides, arguments.step)
+        # Find what is repeated, if anything. A directory may be a link that leads to the new run
+        # afterwards.
+        fmi, name = arguments.fmi, arguments.scenario
+        source = Path(name).resolve()
+        compare: Callable[[Result], Sequence[str]] | None = None
+        if arguments.case is not None:
+            from freeflyer.analysis.sweep.repeat import run_of
+
+            repeated = run_of(source, arguments.case)
+            chosen = repeated.scenario.changed(arguments.overrides)
+            fmi, compare = fmi or repeated.fmi, repeated.differences
+        else:
+            chosen = loaded(name, arguments.overrides, arguments.step)
+            compare = open_run(source).differences if of_run(name) else None
         directory = experiment.claim(chosen, arguments.out, arguments.existing)
-        # The directory may be a link that leads to the new run afterwards.
-        repeated = Path(arguments.scenario).resolve() if of_run(arguments.scenario) else None
-        before = None if repeated is None else open_run(repeated)
         with experiment.progress_bar(console, [chosen]) as reports:
             result = experiment.run(
                 chosen,
-                fmi=arguments.fmi,
+                fmi=fmi,
                 progress=reports[chosen.name],
                 engine=arguments.master,
                 directory=directory,
@@ -109,9 +126,9 @@ class RunCommand:
             console.print(f"Note: {note}", soft_wrap=True)
         for line in directory.lines:
             console.print(line, soft_wrap=True)
-        if before is not None:
-            found = before.differences(result)
-            same = f"The record has the same bits as that of {repeated}."
-            for line in [f"Different from {repeated}:", *found] if found else [same]:
+        if compare is not None:
+            what = f"{source}" if arguments.case is None else f"run {arguments.case} of {source}"
+            found = compare(result)
+            for line in [f"Different from {what}:", *found] if found else [f"Same bits as {what}."]:
                 console.print(line, soft_wrap=True)
         return verdict(result.scenario, result.outcome)

@@ -67,13 +67,12 @@ def described(
 
 @functools.cache
 def _machine() -> Mapping[str, Any]:
-    processor = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-        names = (line.partition(":")[2] for line in lines if line.startswith("model name"))
-        processor = next(names, processor).strip()
-    except OSError:
-        pass  # not Linux
+    except OSError:  # not Linux
+        lines = [f"model name : {platform.processor()}"]
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    processor = next(names, "") or platform.machine()
     return {"host": platform.node(), "processor": processor, "cores": os.cpu_count()}
 
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
 from freeflyer.foundation.errors import OutputError, RecordError, one_line
-from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.toml_file import parsed
 from freeflyer.master.master import Outcome
 from freeflyer.master.provenance import Provenance
@@ -22,14 +20,12 @@ from freeflyer.scenario.scenario import Scenario, from_tables
 DIED = "the process ended before the run had finished"
 
 
-def open_run(directory: str | os.PathLike[str]) -> Result:
+def open_run(folder: Path) -> Result:
     """Return the result of a finished run from its directory. Nothing is simulated.
 
-    `directory` is the directory of the run. The errors of the result are in [m] and [deg]. Raises
-    RecordError if the directory is not one of a finished run, or if the record has been changed
-    after the run.
+    Raises RecordError if the directory is not one of a finished run, or if the record has been
+    changed after the run.
     """
-    folder = Path(text_of(directory, "the run", RecordError))
     _check_finished(folder)
     summary = summary_file.read(folder)
     record = Record.read(folder / RECORD)

@@ -28,7 +28,8 @@ def read(directory: Path) -> dict[str, Any]:
         found = json.loads(bounded_file.content(path, LARGEST))
         number = found["run"]["format"]
     except FileNotFoundError as error:
-        raise RecordError(f"{directory} has no summary.json: it is no run, or an incomplete one (`freeflyer recover` completes it)") from error  # fmt: skip
+        other = "it is a sweep: give the number of a run (--case)" if (directory / "sweep.json").exists() else "it is no run, or an incomplete one (`freeflyer recover` completes it)"  # fmt: skip
+        raise RecordError(f"{directory} has no summary.json: {other}") from error
     except OSError as error:
         raise RecordError(f"{path} cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:

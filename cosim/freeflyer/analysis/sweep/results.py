@@ -92,7 +92,8 @@ class Results:
             column = str(axis.target)
             as_text = self.schema.field(column).type == pa.string() and value is not UNCHANGED
             swept[column] = shown(value) if as_text else value
-        return {"design": design, "case": case, **swept, **row}
+        changes = json.dumps(dict(self.plan.run(row["run"]).assignments))
+        return {"design": design, "case": case, **swept, **row, "changes": changes}
 
     def _parts(self) -> list[Path]:
         return sorted((self.directory / PARTS).glob("runs_*.parquet"))
@@ -123,6 +124,8 @@ class Results:
                 "title": self.plan.sweep.title,
                 "sweep": self.plan.sweep.name,
                 "runs": len(self.plan),
+                "directory": str(self.plan.setup.path.parent.absolute()),
+                "name": self.plan.setup.path.stem,
                 "plan": content,
                 "versions": dict(metrics.versions()),
             }
@@ -169,6 +172,7 @@ def schema(plan: Plan) -> pa.Schema:
     if plan.evaluation is not None:
         fields += [(name, pa.float64(), unit) for name, unit in plan.evaluation.columns.items()]
     fields += [(name, pa.float64(), "s") for name in ("wall_s", "run_s")]
+    fields.append(("changes", pa.string(), ""))
     names = [name for name, _, _ in fields]
     for name in names:
         if names.count(name) > 1:
