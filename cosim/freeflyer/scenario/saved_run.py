@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import OutputError, RecordError, one_line
 from freeflyer.foundation.toml_file import parsed
 from freeflyer.master.master import Outcome
@@ -77,7 +78,7 @@ def _scenario(folder: Path, run: dict[str, Any]) -> Scenario:
 def complete(directory: Path) -> tuple[Result, RunDirectory]:
     """Write the results of a run whose process has died, from its rows.
 
-    The result has the verdict "interrupted". Raises RecordError if the process still runs, or if no
+    The result has the verdict "interrupted", unless the last row is that at the stop time. Raises RecordError if the process still runs, or if no
     row was written. Raises OutputError.
     """
     claimed = RunDirectory.take_over(directory)
@@ -94,13 +95,15 @@ def complete(directory: Path) -> tuple[Result, RunDirectory]:
         if not record.rows:
             raise RecordError(f"run {directory} has no row yet; there is nothing to recover")
         record.provenance = provenance
+        simulated = float(record.time[-1])
+        early = simulated < seconds(scenario.stop)  # otherwise, only the results were not written
         outcome = Outcome(
             record=record,
-            simulated=float(record.time[-1]),
+            simulated=simulated,
             wall=math.nan,
             steps={},
-            interrupted=True,
-            cause=DIED,
+            interrupted=early,
+            cause=DIED if early else None,
         )
         result = result_of(scenario, outcome, about)
         result.summary["wall_s"] = None  # type: ignore[index]
