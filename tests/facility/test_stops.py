@@ -186,7 +186,7 @@ def test_the_reason_precedes_all_files_and_is_sent_to_the_system_log(
     monkeypatch.setattr(hil, "stop", noted("devices stopped", hil.stop))
     monkeypatch.setattr(StopNotice, "give", noted("reason given", StopNotice.give))
     monkeypatch.setattr(RecordingClient, "close", noted("recording closed", RecordingClient.close))
-    monkeypatch.setattr(Result, "write", noted("results written", Result.write))
+    monkeypatch.setattr(Result, "finish", noted("results written", Result.finish))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as log:
         log.bind(str(tmp_path / "log"))
         out = tmp_path / "out"

@@ -129,6 +129,7 @@ def _check(found: scenario.Scenario) -> None:
         assert 0 <= limit.lasting < 2**63
         assert limit.elements is None or 1 <= limit.elements[0] <= limit.elements[1]
     again = scenario.from_tables(tomllib.loads(found.source), _place[0] / "fuzz.toml")
+    again = dataclasses.replace(again, changes=found.changes)  # the source contains the changes
     assert _plain(again) == _plain(found), "its source gives another scenario"
 
 
