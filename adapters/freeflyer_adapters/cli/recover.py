@@ -11,13 +11,7 @@ from rich.progress import Progress
 from freeflyer.foundation.errors import RecordError
 from freeflyer.foundation.exit_codes import DONE
 from freeflyer.foundation.interrupts import interrupts
-from freeflyer.scenario.run_directory import (
-    ROWS,
-    UNFINISHED,
-    RunDirectory,
-    newer_incomplete,
-    state,
-)
+from freeflyer.scenario.run_directory import RunDirectory, has_rows, newer_incomplete, state
 from freeflyer.scenario.saved_run import complete
 from freeflyer_adapters.recording.recover import recover, rings_of, unfinished
 
@@ -77,7 +71,7 @@ class RecoverCommand:
                 console.print(done.sentence, soft_wrap=True)
         # The folder `unfinished` is removed last: until then, the run stays incomplete.
         for run in runs:
-            if not (run / UNFINISHED / ROWS).exists():  # a run with devices has only recordings
+            if not has_rows(run):  # a run with devices has only recordings
                 RunDirectory.take_over(run).release()
                 continue
             result, _ = complete(run)

@@ -1,12 +1,15 @@
 """Output directory of one run.
 
-A process claims a directory by creating the folder `unfinished` in it. `os.mkdir` succeeds in only
-one process. Therefore two runs never write to the same directory. The folder contains the identity
-of the process, the description of the run, and the rows of its record while the run lasts.
+A process claims a directory by the folder `unfinished` in it. The folder contains the identity of
+the process, the description of the run, and the rows of its record while the run lasts.
 `summary.json` is written last, and then the folder is removed. A directory without `summary.json`
 is an incomplete run.
 
-Only `mkdir` and `rename` must be atomic. No file of a run is moved while the run lasts.
+Only `mkdir` and `rename` must be atomic. The folder appears by a rename, with the identity of its
+process. A rename fails if the target is a folder that is not empty. Therefore only one process
+claims a directory. The folder disappears by a rename, too: by its process, or by another one after
+the death of its process (`_take`). Therefore a folder without its identity has no live process. No
+file of a run is moved while the run lasts.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ import json
 import os
 import shutil
 import time
+import uuid
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -32,11 +36,14 @@ OUT = Path("freeflyer_out")
 SUMMARY, RECORD, STOP, UNFINISHED = "summary.json", "record.parquet", "stop.json", "unfinished"
 ROWS, PROCESS, DESCRIPTION = "record.rows", "process.json", "run.json"
 """Files in the folder `unfinished`."""
-DEAD = f"{UNFINISHED}.dead"
+DEAD, TAKEN = f"{UNFINISHED}.dead", "taken"
+"""Folder `unfinished` of a dead process, and the mark in it of the process that renames it."""
 WRITTEN = (SUMMARY, RECORD, STOP, "facility.json", "energy_audit.*", "report.html", "recording*.mcap", "flight_recording*.mcap", "can*.blf", "can*.asc")  # fmt: skip
 """Patterns of the files that runs and their audits write. `overwrite` removes no other file."""
-NEW_CLAIM = 10.0
-"""Time [s] after which a claim without the identity of its process is not in use."""
+FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
+LARGEST_IDENTITY = 1 << 16
+ATTEMPTS = 100
+"""Largest number of attempts to claim a directory while others claim and release it."""
 
 Existing = Literal["keep", "overwrite"]
 """What happens to a directory that is not empty.
@@ -55,7 +62,7 @@ def state(directory: Path) -> State:
     any other content.
     """
     try:
-        names = set(os.listdir(directory))
+        names = set(_listed(directory))
     except FileNotFoundError:
         return "missing"
     if SUMMARY in names:
@@ -65,6 +72,15 @@ def state(directory: Path) -> State:
     if STOP in names:
         return "finished"
     return "incomplete" if DEAD in names else "other" if names else "empty"
+
+
+def _listed(directory: Path) -> list[str]:
+    """Return the names in a directory, without the folders of processes that claim it now."""
+    return [name for name in os.listdir(directory) if not name.startswith(_private(""))]
+
+
+def _private(token: str) -> str:
+    return f".{UNFINISHED}-{token}"
 
 
 def is_run(directory: Path) -> bool:
@@ -77,19 +93,54 @@ def is_run(directory: Path) -> bool:
 
 def owner(directory: Path) -> str | None:
     """Return which process has claimed a directory, in words. None: no process uses it now."""
-    claim = directory / UNFINISHED
+    with contextlib.suppress(OSError), _claim(directory) as (_, user, _):
+        return user
+    return None
+
+
+@contextlib.contextmanager
+def _claim(directory: Path) -> Iterator[tuple[list[int], str | None, Path]]:
+    """Open the folder `unfinished`, and the marks in it of processes that take it.
+
+    Yields the handles of these nested folders, the process that lives, and the path of the last
+    folder. Raises OSError if there is no folder `unfinished`.
+    """
+    path, handles = directory / UNFINISHED, [os.open(directory / UNFINISHED, FOLDER)]
     try:
-        identity = json.loads((claim / PROCESS).read_text(encoding="utf-8"))
+        while (user := _user(handles[-1], path)) is None and len(handles) < ATTEMPTS:
+            try:
+                handles.append(os.open(TAKEN, FOLDER, dir_fd=handles[-1]))
+            except OSError:
+                break
+            path /= TAKEN
+        yield handles, user, path
+    finally:
+        for handle in handles:
+            os.close(handle)
+
+
+def _user(handle: int, claim: Path) -> str | None:
+    """Return the live process of an open claim, in words, or None."""
+    try:
+        identity = _identity(handle)
         running = process_identity.is_running(identity)
-    except (OSError, ValueError, AttributeError):
-        with contextlib.suppress(OSError):
-            if abs(time.time() - claim.stat().st_mtime) < NEW_CLAIM:
-                return "a process that has just started"
+    except PermissionError:
+        return "a process of another user"
+    except (OSError, ValueError, AttributeError, RecursionError):
         return None
     if running is None:
         host = str(identity.get("host", "")).partition(" ")[0]
         return f"process {identity.get('pid')} on {host or 'another machine'}, or that process has ended: remove {claim} in this case"
     return f"process {identity['pid']}" if running else None
+
+
+def _identity(handle: int) -> Any:
+    # Without O_NONBLOCK, a FIFO without a writer would block.
+    file = os.open(PROCESS, os.O_RDONLY | os.O_NONBLOCK, dir_fd=handle)
+    try:
+        return json.loads(os.read(file, LARGEST_IDENTITY))
+    finally:
+        os.close(file)
 
 
 def newer_incomplete(link: Path) -> list[Path]:
@@ -103,6 +154,12 @@ def newer_incomplete(link: Path) -> list[Path]:
     newest = link.resolve().name
     beside = sorted(link.parent.glob(f"{glob.escape(link.name)}-*"), reverse=True)
     return [path for path in beside if path.name > newest and state(path) == "incomplete"]
+
+
+def has_rows(directory: Path) -> bool:
+    """Return whether an incomplete run has the file of the rows of its record."""
+    # A process that died while it completed the run leaves the rows in the folder DEAD.
+    return any((directory / name / ROWS).exists() for name in (UNFINISHED, DEAD))
 
 
 class RunDirectory:
@@ -146,7 +203,8 @@ class RunDirectory:
         """Claim the directory of an incomplete run, to complete it. Raises OutputError."""
         found = cls(directory, existing="overwrite")
         found._begun = found._took_over
-        if not found._took_over:
+        # A process may have died after it wrote summary.json.
+        if not found._took_over or (directory / SUMMARY).exists():
             found.abandon()
             raise _error(f"{directory} is not the directory of an incomplete run")
         return found
@@ -165,6 +223,7 @@ class RunDirectory:
         self._existing, self._link, self._aside = existing, link, False
         self._made: list[Path] = []
         self._took_over = self._begun = False
+        self._token = uuid.uuid4().hex
         self._moved_to: Path | None = None
         try:
             if path.is_symlink():
@@ -173,10 +232,9 @@ class RunDirectory:
             if found in ("other", "incomplete") and existing is None:
                 text = "an incomplete run (`freeflyer recover` completes it)" if found == "incomplete" else "other files than a run"  # fmt: skip
                 raise OSError(errno.EEXIST, f"it contains {text}; choose another directory, or rename it by --keep, or replace its results by --overwrite")  # fmt: skip
-            self._make(path, exclusive=new)
-            self._lock()
+            self._lock(exclusive=new)
             # The content may have changed before the directory was claimed.
-            self._aside = existing != "overwrite" and os.listdir(path) != [UNFINISHED]
+            self._aside = existing != "overwrite" and _listed(path) != [UNFINISHED]
             if self._aside and os.path.samefile(path, os.curdir):
                 raise OSError(errno.EEXIST, "it is the current directory and is not empty; choose another directory, or replace its results by --overwrite")  # fmt: skip
         except FileExistsError as error:
@@ -204,29 +262,52 @@ class RunDirectory:
                 if (exclusive and folder == path) or not folder.is_dir():
                     raise
 
-    def _lock(self) -> None:
-        """Create the folder `unfinished`, which only one process can do."""
-        folder = self.path / UNFINISHED
+    def _lock(self, *, exclusive: bool) -> None:
+        """Create the directory and its folder `unfinished`, which only one process can do."""
+        private = self.path / _private(self._token)
         try:
-            folder.mkdir()
-        except FileExistsError:
-            user = owner(self.path)
+            for _ in range(ATTEMPTS):
+                self._make(self.path, exclusive=exclusive and self.path not in self._made)
+                # If another process renames or removes the directory now, try again.
+                with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+                    private.mkdir(exist_ok=True)
+                    identity = {**process_identity.present(), "claim": self._token}
+                    (private / PROCESS).write_text(json.dumps(identity), encoding="utf-8")
+                    if _renamed(private, self.path / UNFINISHED):
+                        self._took_over = (self.path / DEAD).exists()
+                        return
+                    self._take(private)
+            raise _error(f"output directory {self.path} is in use by other processes; choose another directory")  # fmt: skip
+        finally:
+            shutil.rmtree(private, ignore_errors=True)
+
+    def _take(self, private: Path) -> None:
+        """Rename the folder `unfinished` of a dead process. Raises OutputError if it lives.
+
+        The process that puts its mark into the folder may rename it. The mark stays in the folder,
+        so that no other process can rename a newer folder instead.
+        """
+        folder = self.path / UNFINISHED
+        with _claim(self.path) as (handles, user, _):
             if user is not None:
                 self._made = []
-                raise _error(f"output directory {self.path} is in use by {user}; wait until it ends, or choose another directory") from None  # fmt: skip
-            # Only one process succeeds in renaming the folder. If an earlier process has renamed
-            # one before, and died before it began, its own folder has no results.
+                raise _error(f"output directory {self.path} is in use by {user}; wait until it ends, or choose another directory")  # fmt: skip
+            if not _renamed(private, Path(TAKEN), handles[-1]):
+                return
+            if not os.path.samestat(os.fstat(handles[0]), os.stat(folder)):
+                return
+            # If an earlier process has renamed one before, and died before it began, its own
+            # folder has no results.
             if (self.path / DEAD).exists():
-                dead = self.path / f"{UNFINISHED}.{os.getpid()}-{time.monotonic_ns()}"
-                os.rename(folder, dead)
-                shutil.rmtree(dead)
+                _remove(folder, self._token)
             else:
                 os.rename(folder, self.path / DEAD)
-            folder.mkdir()
-        self._took_over = (self.path / DEAD).exists()
-        self._made.append(folder)
-        self._identity = os.stat(folder).st_ino
-        write_text(folder / PROCESS, json.dumps(process_identity.present()))
+
+    def _holds(self) -> bool:
+        """Return whether this object still holds the directory of this path."""
+        with contextlib.suppress(OSError, ValueError, AttributeError, RecursionError), _claim(self.path) as (handles, _, _):  # fmt: skip
+            return bool(_identity(handles[0]).get("claim") == self._token)
+        return False
 
     @property
     def rows(self) -> Path:
@@ -258,6 +339,8 @@ class RunDirectory:
         """Undo everything if the run did not begin, or failed at its first instant."""
         if error is not None and (not self._begun or isinstance(error, CosimError)):
             self.abandon()
+        elif error is not None:
+            self._let_go()
 
     def _set_aside(self) -> None:
         """Rename the directory, and create it again with the folder `unfinished`."""
@@ -268,7 +351,7 @@ class RunDirectory:
         except OSError:
             aside.rmdir()
             raise
-        fresh = self.path.with_name(f"{self.path.name}.claim-{os.getpid()}-{time.monotonic_ns()}")
+        fresh = self.path.with_name(f"{self.path.name}.claim-{self._token}")
         fresh.mkdir()
         os.rename(aside / UNFINISHED, fresh / UNFINISHED)
         try:
@@ -276,10 +359,11 @@ class RunDirectory:
         except OSError as error:
             shutil.rmtree(fresh)
             raise OSError(error.errno, f"another process has claimed it; {what} is now {aside}") from error  # fmt: skip
-        with contextlib.suppress(FileNotFoundError):
-            os.rename(aside / DEAD, aside / UNFINISHED)
+        finally:
+            _restore(aside)
+            _sweep(aside)
         self.notes.append(f"{what} still exists: {aside}")
-        self._moved_to, self._made = aside, [self.path, self.path / UNFINISHED]
+        self._moved_to, self._made = aside, [self.path]
 
     def finish(
         self, files: Mapping[str, Callable[[Path], object]], summary: Mapping[str, Any]
@@ -296,39 +380,55 @@ class RunDirectory:
                 write_whole(self.path / name, write, durable=True)
             text = json.dumps(summary, indent=2) + "\n"
             write_whole(self.path / SUMMARY, lambda partial: partial.write_text(text, encoding="utf-8"), durable=True)  # fmt: skip
-        except OutputError as error:
+        except BaseException as error:
             if rows is None:
                 raise
-            raise OutputError(f"{error}. The rows of the record are kept in {rows}; `freeflyer recover {self.path}` writes the results later") from error  # fmt: skip
+            self._let_go()
+            if not isinstance(error, OutputError):
+                raise
+            raise OutputError(f"{error}. The rows of the record are kept in {self.path}; `freeflyer recover {self.path}` writes the results later") from error  # fmt: skip
         self.release()
         if self._link is not None:
             self.notes += _link(self._link, self.path)
 
     def release(self) -> None:
         """Remove the folder `unfinished`: the run is complete, or nothing more can be completed."""
-        for name in (DEAD, UNFINISHED):
-            shutil.rmtree(self.path / name, ignore_errors=True)
+        shutil.rmtree(self.path / DEAD, ignore_errors=True)
+        _sweep(self.path)
+        for name in (RECORD, SUMMARY):  # a process that was killed may have left parts of a file
+            for partial in self.path.glob(f"{name}.*.partial"):
+                with contextlib.suppress(OSError):
+                    partial.unlink()
+        _remove(self.path / UNFINISHED, self._token)
+
+    def _let_go(self) -> None:
+        """Leave an incomplete run, which also this process can complete now."""
+        with contextlib.suppress(OSError):
+            if self._holds():
+                os.rename(self.path / UNFINISHED, self.path / DEAD)
 
     def _replace_if_removed(self) -> None:
         """If the directory was removed or replaced during the run, claim another one."""
-        with contextlib.suppress(OSError):
-            if os.stat(self.path / UNFINISHED).st_ino == self._identity:
-                return
+        if self._holds():
+            return
         lost = self.path
         other = RunDirectory.claim(_free_name(lost), None)
-        self.path, self._identity = other.path, other._identity
+        self.path, self._token = other.path, other._token
         self.notes.append(f"{lost} was removed or renamed during the run; the results are in {self.path} instead")  # fmt: skip
 
     def abandon(self) -> None:
         """Remove the directory, and restore what was there before. Use it before the first row."""
+        held = self._holds()
+        if held:
+            _remove(self.path / UNFINISHED, self._token)
         for made in reversed(self._made):
             with contextlib.suppress(OSError):
-                shutil.rmtree(made) if made.name == UNFINISHED else made.rmdir()
+                made.rmdir()
         with contextlib.suppress(OSError):
             if self._moved_to is not None and not self.path.exists():
                 os.rename(self._moved_to, self.path)
-            elif self._took_over:
-                os.rename(self.path / DEAD, self.path / UNFINISHED)
+            elif held and self._took_over:
+                _restore(self.path)
         self._made, self._moved_to, self._took_over = [], None, False
 
     @property
@@ -336,6 +436,41 @@ class RunDirectory:
         """Sentences for the user: the directory of the results, and `notes`."""
         yield f"Results in {self.path}: {RECORD}, {SUMMARY}"
         yield from self.notes
+
+
+def _renamed(folder: Path, target: Path, handle: int | None = None) -> bool:
+    """Rename a folder, unless the target is a folder that is not empty. Return whether it is done.
+
+    `target` is relative to the folder with the open handle `handle`, if given.
+    """
+    try:
+        os.rename(folder, target, dst_dir_fd=handle)
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
+        return False
+    return True
+
+
+def _remove(folder: Path, token: str) -> None:
+    """Remove a folder `unfinished`, which disappears at once."""
+    private = folder.with_name(_private(f"{token}-{time.monotonic_ns()}"))
+    with contextlib.suppress(OSError):
+        os.rename(folder, private)
+        shutil.rmtree(private, ignore_errors=True)
+
+
+def _restore(directory: Path) -> None:
+    """Make the folder of a dead process `unfinished` again."""
+    with contextlib.suppress(OSError):
+        if _renamed(directory / DEAD, directory / UNFINISHED):
+            _remove(directory / UNFINISHED / TAKEN, "")
+
+
+def _sweep(directory: Path) -> None:
+    """Remove the folders of processes that died while they claimed a directory."""
+    for folder in directory.glob(f"{glob.escape(_private(''))}*"):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _link(link: Path, target: Path) -> list[str]:
@@ -347,12 +482,18 @@ def _link(link: Path, target: Path) -> list[str]:
     new = link.with_name(f"{link.name}.link-{os.getpid()}-{time.monotonic_ns()}")
     try:
         if link.is_symlink():
-            before = link.with_name(os.readlink(link))
+            before = link.parent / os.readlink(link)
+            if before.parent != link.parent:
+                return [f"{link} is a link to another folder, and stays as it is; therefore it is no link to the newest run"]  # fmt: skip
         elif os.path.lexists(link):
             if not (link / SUMMARY).is_file():
                 return [f"{link} is not a run, and stays as it is; therefore it is no link to the newest run"]  # fmt: skip
             aside = _free_name(link)
-            os.rename(link, aside)
+            try:
+                os.rename(link, aside)
+            except OSError:  # another run has renamed it
+                aside.rmdir()
+                return _link(link, target)
             notes.append(f"{link} was a directory, and is now {aside}")
         os.symlink(target.name, new, target_is_directory=True)
         os.rename(new, link)
