@@ -139,7 +139,7 @@ def side(
     here: SetPoint, coordinates: TaskCoordinates, overrides: list[str], n: int, seed: int
 ) -> Side:
     """Return both growth rates with a base period of n T_m."""
-    values, vectors = np.linalg.eig(lifting.lifted(here.loop(n), n))
+    values, vectors = np.linalg.eig(lifting.lifted(here.loop(n), n).matrix)
     worst = int(np.abs(values).argmax())
     # Start along the predicted mode, which then dominates from the start, plus 1 % in a random
     # direction.

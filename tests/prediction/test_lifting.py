@@ -36,7 +36,7 @@ def test_the_lifted_map_is_the_derivative_of_the_simulated_period(
 ) -> None:
     """Differences of 1e-6 in all 24 directions, simulated by the master with co-simulation FMUs."""
     with at_set_point(scenario.load(NAME, [*QUIET, *overrides])) as here:
-        predicted = lifting.lifted(here.loop(n), n)
+        predicted = lifting.lifted(here.loop(n), n).matrix
     simulated = jacobian(NAME, overrides, n / 1000)
     assert predicted.shape == (24, 24)
     assert np.abs(predicted - simulated).max() < ROUNDING
@@ -146,7 +146,7 @@ def held(m: float, period: float) -> tuple[Array, Array]:
 def test_one_axis_lifts_to_the_held_double_integrator(m: float, k: float, d: float, n: int) -> None:
     A, B = held(m, 1e-3 * n)
     exact = A + B @ np.array([[-k, -d]])
-    found = lifting.lifted(one_axis(m, k, d, 1e-3), n)
+    found = lifting.lifted(one_axis(m, k, d, 1e-3), n).matrix
     assert np.abs(found - exact).max() <= 1e-10 * np.abs(exact).max()
 
 
@@ -156,7 +156,7 @@ def test_parallel_exchange_delays_the_output_by_one_period(k: float, d: float, n
     # The state is [x, v, force]; the force acts from the next sample.
     late = np.block([[A, B], [np.array([[-k, -d]]), np.zeros((1, 1))]])
     found = np.sort_complex(
-        np.linalg.eigvals(lifting.lifted(one_axis(20.0, k, d, 1e-3, parallel=True), n))
+        np.linalg.eigvals(lifting.lifted(one_axis(20.0, k, d, 1e-3, parallel=True), n).matrix)
     )
     exact = np.sort_complex(np.linalg.eigvals(late))
     # The order of complex pairs may differ by rounding; the characteristic polynomial does not.
@@ -174,7 +174,7 @@ def test_a_delayed_connection_delays_the_output_by_one_step(k: float, d: float, 
             [gain, np.zeros((1, 1))],
         ]
     )
-    found = lifting.lifted(one_axis(20.0, k, d, 1e-3, delayed=True), n)
+    found = lifting.lifted(one_axis(20.0, k, d, 1e-3, delayed=True), n).matrix
     assert np.poly(np.linalg.eigvals(found)) == pytest.approx(
         np.poly(np.linalg.eigvals(exact)), abs=1e-8
     )
@@ -189,8 +189,10 @@ def test_a_law_with_a_memory_of_one_command_is_late_by_one_period(
     late = Sample(A=zero, B=gain, C=one, D=np.zeros((1, 2)))
     loop = one_axis(20.0, k, d, 1e-3)
     loop = replace(loop, laws=(replace(loop.laws[0], sample=late, between=late),))
-    found = np.linalg.eigvals(lifting.lifted(loop, n))
-    parallel = np.linalg.eigvals(lifting.lifted(one_axis(20.0, k, d, 1e-3, parallel=True), n))
+    found = np.linalg.eigvals(lifting.lifted(loop, n).matrix)
+    parallel = np.linalg.eigvals(
+        lifting.lifted(one_axis(20.0, k, d, 1e-3, parallel=True), n).matrix
+    )
     assert np.poly(found) == pytest.approx(np.poly(parallel), abs=1e-8)
     assert late.gain == pytest.approx(gain)
 
@@ -201,7 +203,8 @@ def test_a_scan_gives_the_map_of_every_period(discretisation: str) -> None:
     with at_set_point(
         scenario.load(NAME, [f"base_controller.discretisation={discretisation}"])
     ) as here:
-        scanned = list(lifting.lifted_maps(here.loop(n) for n in range(1, 61)))
+        maps = lifting.lifted_maps(here.loop(n) for n in range(1, 61))
+        scanned = [one.matrix for one in maps]
         for n in (1, 2, 17, 60):
-            single = lifting.lifted(here.loop(n), n)
+            single = lifting.lifted(here.loop(n), n).matrix
             assert np.abs(scanned[n - 1] - single).max() < 1e-11 * np.abs(single).max()

@@ -337,7 +337,7 @@ def _run(
         remarks=[f"{device.name}: {sentence}" for device in devices for sentence in device.remarks],
         recording=recorded,
     )
-    outcome.record.provenance = origin
+    outcome.record.provenance = replace(origin, sampled_at_end=master.sampled_at_end)
     return result_of(scenario, outcome, about, real_time=report.summary()), report
 
 

@@ -124,6 +124,11 @@ class RunCommand:
         console.print(as_rich(result.table))
         for note in observer_notes.notes(result.outcome.record.provenance):
             console.print(f"Note: {note}", soft_wrap=True)
+        if result.verdict == "diverged":
+            from freeflyer.analysis import divergence_notes
+
+            for note in divergence_notes.notes(chosen, result.record, fmi):
+                console.print(f"Note: {note}", soft_wrap=True)
         for line in directory.lines:
             console.print(line, soft_wrap=True)
         if compare is not None:

@@ -13,6 +13,8 @@ At an instant t, the master does the following:
    contains. Each controller uses the outputs that earlier controllers have computed at t.
 4. It records the outputs if t is a recording instant. Then it checks the limits.
 5. It writes the inputs of all plants that are due at t. Then it steps these plants.
+At the stop time and after an interruption, no step begins: only 1, 2 and 4 are done. In this last
+row of the record, plants have their values at t, and controllers the values of their last samples.
 
 `Master.run` executes these operations in Python. The C code in cosim/freeflyer/master/core executes
 the same operations. cosim/freeflyer/master/native.py runs a master with this C code.
@@ -111,6 +113,7 @@ class Master:
         ]
         signals, self.columns = self.slaves.signals(graph, recorded)
         self.record = Record(signals, schedule.ticks // schedule.record_ratio + 2, rows)
+        self.sampled_at_end = False
 
     def initialise(self, start_values: Mapping[str, Mapping[str, Array]]) -> None:
         """Initialise all components.
@@ -231,8 +234,11 @@ class Master:
 
         `whole` is False if a failed step has left the outputs at instant k incomplete. If `whole`
         is True and instant k is not recorded yet, this method records instant k. If the record is
-        empty, this method always records instant k.
+        empty, this method always records instant k. `sampled_at_end` becomes True if the last row
+        has the controllers' samples of its time (`Provenance.sampled_at_end`).
         """
+        stopped = outcome.diverged or outcome.failed
+        self.sampled_at_end = stopped and not outcome.interrupted and k < self.schedule.ticks
         outcome.simulated = seconds(k * self.schedule.tick)
         record = self.record
         if record.rows == 0 or (whole and record.time[-1] < outcome.simulated):

@@ -27,6 +27,11 @@ class Provenance:
     """Start values of every component [SI]: numbers, lists, Booleans or enumeration items."""
     sources: Mapping[str, str]
     """For each connected input COMPONENT.VARIABLE: the name COMPONENT.OUTPUT of the source."""
+    sampled_at_end: bool = False
+    """Whether the last row has a sample of each controller that is due at its time.
+
+    It has none if the run ended at its stop time, or if the user interrupted it (`Master.finish`).
+    """
 
     def to_json(self) -> str:
         return json.dumps(asdict(self))
@@ -45,8 +50,10 @@ class Provenance:
             "parameters": dict,
             "sources": dict,
         }
-        if not isinstance(raw, dict) or raw.keys() != kinds.keys():
+        optional: dict[str, type] = {"sampled_at_end": bool}
+        if not isinstance(raw, dict) or raw.keys() - optional.keys() != kinds.keys():
             raise ValueError(f"its provenance does not have exactly the keys {', '.join(kinds)}")
+        kinds |= {key: kind for key, kind in optional.items() if key in raw}
         for key, kind in kinds.items():
             if not isinstance(raw[key], kind):
                 raise ValueError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -202,7 +202,7 @@ def run(
             outcome = native.run(master, progress) if engine == "core" else master.run(progress)
             if progress is not None:
                 progress(outcome.simulated)
-        outcome.record.provenance = origin
+        outcome.record.provenance = replace(origin, sampled_at_end=master.sampled_at_end)
         result = result_of(scenario, outcome, about)
         if directory is not None:
             result.finish(directory)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -94,9 +95,9 @@ def complete(directory: Path) -> tuple[Result, RunDirectory]:
         record = Record.from_rows(rows / ROWS)
         if not record.rows:
             raise RecordError(f"run {directory} has no row yet; there is nothing to recover")
-        record.provenance = provenance
         simulated = float(record.time[-1])
         early = simulated < seconds(scenario.stop)  # otherwise, only the results were not written
+        record.provenance = replace(provenance, sampled_at_end=early)
         outcome = Outcome(
             record=record,
             simulated=simulated,

@@ -64,26 +64,33 @@ def displacement_of_twist(time: Array, velocity: Array) -> Array:
     return 0.5 * np.diff(time)[:, None] * (velocity[:-1] + velocity[1:])
 
 
-def held(values: Array, share: float) -> Array:
+def held(values: Array, share: float, *, sampled_at_end: bool = True) -> Array:
     """Return the mean of a sampled and held signal (n, m) over each interval.
 
     The result is (n - 1, m). `share` is the time for which one sample is held, divided by the
     interval. If `share` is 1, the mean is the value at the start of the interval. If `share` is
     less than 1, the interval contains samples that are not in the record. These samples are assumed
     to lie on a line between the two rows. The mean is then
-    (1 + share)/2 F(k) + (1 - share)/2 F(k+1).
+    (1 + share)/2 F(k) + (1 - share)/2 F(k+1). If `sampled_at_end` is False, the last row has the
+    last sample before its time. The mean of the last interval is then (F(k) + F(k+1))/2.
     """
-    return 0.5 * (1.0 + share) * values[:-1] + 0.5 * (1.0 - share) * values[1:]
+    mean = 0.5 * (1.0 + share) * values[:-1] + 0.5 * (1.0 - share) * values[1:]
+    if share < 1.0 and not sampled_at_end:
+        mean[-1] = 0.5 * (values[-2] + values[-1])
+    return mean
 
 
-def last_samples(time: Array, values: Array, period: int) -> Array:
+def last_samples(time: Array, values: Array, period: int, *, sampled_at_end: bool = True) -> Array:
     """Return for each row the values (n, m) that a controller has sampled last.
 
     The controller samples every `period` [ns], starting at t = 0. The last sample is at or before
-    the time of the row. If this sample is between two rows, its values are interpolated linearly.
+    the time of the row. If `sampled_at_end` is False, that of the last row is before its time. If
+    the sample is between two rows, its values are interpolated linearly.
     """
     instants = np.rint(time * 1e9).astype(np.int64)
-    sampled = (instants - instants % period) * 1e-9
+    if not sampled_at_end:
+        instants[-1] -= 1  # ns
+    sampled = (instants - instants % period) / 1e9
     return np.column_stack([np.interp(sampled, time, column) for column in values.T])
 
 

@@ -65,7 +65,11 @@ class Port:
     observed: Array
     """Energy (n, 6) that the passivity observer computed, including E(0)."""
     absorbed: Array
-    """E(0) minus the true work (n, 6). An ideal observer of this port would compute this energy."""
+    """E(0) minus the true work (n, 6) at the last sample of the manipulator controller.
+
+    An ideal observer of this port would compute this energy: the observers of both ports are in
+    the manipulator controller.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,11 +121,8 @@ class Ledger:
 
 def ledger(loop: RecordedLoop) -> Ledger:
     """Compute the energy audit of a recorded loop."""
-    # Compute the share of each controller and the displacements of each motion. A share is the time
-    # for which a sample is held, as a fraction of the row interval. `moved` is the displacement in
-    # each interval.
+    # Compute the displacements of each motion. `moved` is the displacement in each interval.
     time, law_m, law_b = loop.time, loop.manipulator_law, loop.base_law
-    share_m, share_b = (_share(loop, law.period) for law in (law_m, law_b))
     moved_b, moved_m = (_moved(loop, motion) for motion in (loop.base, loop.end_effector))
     moved_d = energy.displacement(
         time, loop.desired.position, loop.desired.orientation, loop.desired.velocity
@@ -135,8 +136,8 @@ def ledger(loop: RecordedLoop) -> Ledger:
         loop.end_effector_wrench, loop.end_effector.position - loop.base.position
     )
     F_B_true = loop.base_wrench - from_end_effector
-    acting = energy.held(loop.base_wrench, share_b) - energy.held(from_end_effector, share_m)
-    stale = acting - energy.held(loop.port_wrench, share_b)
+    acting = loop.held(loop.base_wrench, law_b.period) - loop.held(from_end_effector, law_m.period)
+    stale = acting - loop.held(loop.port_wrench, law_b.period)
 
     # With the tracking observer, the damper of the manipulator's passivity controller acts on the
     # velocity error. With the other observers, it acts on the velocity of the port.
@@ -146,7 +147,6 @@ def ledger(loop: RecordedLoop) -> Ledger:
     port_m, F_m_star = _port(
         loop,
         law_m,
-        share_m,
         actual=loop.end_effector,
         desired=loop.desired,
         wrench=loop.end_effector_wrench,
@@ -161,7 +161,6 @@ def ledger(loop: RecordedLoop) -> Ledger:
     port_b, _ = _port(
         loop,
         law_b,
-        share_b,
         actual=loop.base,
         desired=loop.setpoint,
         wrench=loop.port_wrench,
@@ -186,14 +185,6 @@ def ledger(loop: RecordedLoop) -> Ledger:
     )
 
 
-def _share(loop: RecordedLoop, period: int) -> float:
-    """Return the fraction of a row interval for which a sample is held. It is at most 1.
-
-    `period` [ns] is the sampling period.
-    """
-    return min(1.0, period / loop.interval)
-
-
 def _moved(loop: RecordedLoop, motion: Motion) -> Array:
     if loop.plant:
         return energy.displacement(loop.time, motion.position, motion.orientation, motion.velocity)
@@ -207,7 +198,6 @@ def _power(wrench: Array, velocity: Array) -> Array:
 def _port(
     loop: RecordedLoop,
     law: Law,
-    share: float,
     *,
     actual: Motion,
     desired: Motion,
@@ -222,7 +212,7 @@ def _port(
 ) -> tuple[Port, Array]:
     """Return the energies of one port, and the feed-forward F* (n, 6) of the port's law.
 
-    `share` is the result of `_share` for this law. `wrench` (n, 6) is the commanded wrench at the
+    `wrench` (n, 6) is the commanded wrench at the
     port, and `passivity_wrench` (n, 6) is the part of it that comes from the passivity controller.
     `stale` (n - 1, 6) is a wrench that acts in addition to the commanded wrench. The displacements
     are (n - 1, 6): `moved` is the displacement of the port, and `moved_desired` is the displacement
@@ -241,12 +231,12 @@ def _port(
     # and K_D. These gains are not recorded, and the law cannot be split. Therefore the whole law
     # counts as a spring-damper without feed-forward.
     sampled_pose, sampled_velocity = (
-        energy.last_samples(loop.time, values, law.period) for values in errors(law.measured)
+        loop.last_samples(values, law.period) for values in errors(law.measured)
     )
     spring_damper = -law.stiffness * sampled_pose - law.damping * sampled_velocity
     star = wrench - passivity_wrench - spring_damper if law.is_plain else np.zeros_like(wrench)
     held_star, held_law, held_pc = (
-        energy.held(values, share)
+        loop.held(values, law.period)
         for values in (star, wrench - passivity_wrench - star, passivity_wrench)
     )
 
@@ -270,7 +260,7 @@ def _port(
         dissipated=dissipated,
         taken=0.0 - total(held_pc, damped_motion),  # `0.0 -` avoids a negative zero
         observed=observed,
-        absorbed=law.initial_energy - worked,
+        absorbed=loop.last_samples(law.initial_energy - worked, loop.manipulator_law.period),
     )
     return port, star
 
@@ -281,13 +271,10 @@ def _balance(loop: RecordedLoop, port_b: Port, port_m: Port, moved_b: Array) -> 
         return None
     moved_q = np.diff(plant.joint_position, axis=0)
 
-    def held(values: Array, period: int) -> Array:
-        return energy.held(values, _share(loop, period))
-
     # Compute the work of the wrenches and torques that the plant received.
     by_base, by_joints = (
-        held(plant.base_wrench, plant.base_wrench_period),
-        held(plant.joint_torque, plant.joint_torque_period),
+        loop.held(plant.base_wrench, plant.base_wrench_period),
+        loop.held(plant.joint_torque, plant.joint_torque_period),
     )
     base_wrench, joint_torque = (
         energy.work(force, moved).sum(axis=1)
@@ -295,8 +282,8 @@ def _balance(loop: RecordedLoop, port_b: Port, port_m: Port, moved_b: Array) -> 
     )
     # A component between controller and plant can change the values that the plant receives.
     # Compute the work of this change.
-    other_wrench = by_base - held(loop.base_wrench, loop.base_law.period)
-    other_torque = by_joints - held(loop.joint_torque, loop.manipulator_law.period)
+    other_wrench = by_base - loop.held(loop.base_wrench, loop.base_law.period)
+    other_torque = by_joints - loop.held(loop.joint_torque, loop.manipulator_law.period)
     others = energy.work(other_wrench, moved_b).sum(axis=1) + energy.work(
         other_torque, moved_q
     ).sum(axis=1)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from freeflyer.analysis.audit import energy
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import RecordError
 from freeflyer.foundation.signal_name import component_of
@@ -117,6 +118,26 @@ class RecordedLoop:
     def interval(self) -> int:
         """Time between two rows [ns]. The last interval may be shorter."""
         return round(float(self.time[1] - self.time[0]) * 1e9)
+
+    @property
+    def sampled_at_end(self) -> bool:
+        """Whether controllers have sampled at the time of the last row (`Provenance`)."""
+        return self.provenance.sampled_at_end or self.rows_left_out > 0
+
+    def last_samples(self, values: Array, period: int) -> Array:
+        """Return for each row the values (n, m) at the last sample of a controller.
+
+        The controller samples every `period` [ns]. `energy.last_samples` has the details.
+        """
+        return energy.last_samples(self.time, values, period, sampled_at_end=self.sampled_at_end)
+
+    def held(self, values: Array, period: int) -> Array:
+        """Return the mean (n - 1, m) of a sampled and held output in each interval.
+
+        The sampling period is `period` [ns]. `energy.held` has the details.
+        """
+        share = min(1.0, period / self.interval)
+        return energy.held(values, share, sampled_at_end=self.sampled_at_end)
 
 
 def find(record: Record) -> RecordedLoop:

@@ -114,16 +114,17 @@ def _signed(port: Port, field: str, sign: float) -> float:
 def _observation(audit: Ledger, port: Port) -> dict[str, Any]:
     """Return the observed and the true energy of a port.
 
-    The true energy is the energy that an ideal observer of this port computes.
-    The last row is left out, because the observer takes no sample there.
+    The true energy is the energy that an ideal observer of this port computes. Both are those of
+    the last sample at or before the time of each row: at the stop time there is none.
     """
-    observed, true = port.observed[:-1], port.absorbed[:-1]
+    observed, true, loop = port.observed, port.absorbed, audit.loop
+    sampled = loop.last_samples(loop.time[:, None], loop.manipulator_law.period)
     row, axis = np.unravel_index(int(np.argmin(observed)), observed.shape)
     return {
         "sum_at_end_j": float(observed[-1].sum()),
         "true_sum_at_end_j": float(true[-1].sum()),
         "least_j": float(observed[row, axis]),
-        "least_at_s": float(audit.time[row]),
+        "least_at_s": float(sampled[row, 0]),
         "least_of": AXES[axis],
         "true_least_j": float(true.min()),
         "largest_gap_of_sum_j": float(np.abs((observed - true).sum(axis=1)).max()),

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeflyer.analysis.prediction import lifting
-from freeflyer.analysis.prediction.modes import Limit, Mode, limit_of
+from freeflyer.analysis.prediction.modes import LARGEST, Limit, Mode, limit_of
 from freeflyer.analysis.prediction.set_point import SetPoint
 from freeflyer.analysis.prediction.task_coordinates import TaskCoordinates
 from freeflyer.fmi.component import Array
@@ -41,8 +41,10 @@ class Scan:
     `scenario` and `component` are the names of the scenario and of the scanned controller. `tick_s`
     is T_m. `period_s` is the period of the scenario. `periods` are the scanned periods. For each
     scanned period, `radius` is the spectral radius of the map over one period, without the neutral
-    directions. `neutral` is the number of neutral directions. In a neutral direction, no force
-    returns the plant to the set point: it can rest at any position.
+    directions, and `growth_rates` [1/s] is ln(radius) / T_b. A radius above the range of a
+    double is replaced by the largest double; its growth rate is exact. `neutral` is the number of
+    neutral directions. In a neutral direction, no force returns the plant to the set point: it can
+    rest at any position.
     The scan starts at the shortest period that the controllers accept, which is usually T_m.
     `largest_stable_s`: all scanned periods up to this period are stable. It is 0 if the loop is
     unstable with the shortest period. It is the longest scanned period if all periods are stable.
@@ -59,6 +61,7 @@ class Scan:
     period_s: float
     periods: Array
     radius: Array
+    growth_rates: Array
     largest_stable_s: float
     stable_s: tuple[tuple[float, float], ...]
     own: Mode
@@ -92,16 +95,29 @@ class Scan:
             and {
                 "kind": self.limit.kind,
                 "axis": self.limit.axis,
-                "sampled_spring": self.limit.spring.tolist(),
-                "sampled_damper": self.limit.damper.tolist(),
+                "sampled_spring": [_finite(ratio) for ratio in self.limit.spring],
+                "sampled_damper": [_finite(ratio) for ratio in self.limit.damper],
+            },
+            "end_effector_loop": {
+                "sampled_damper": self.coordinates.fast_damper.ratio,
+                "direction": self.coordinates.fast_damper.direction.tolist(),
             },
             "base": {
                 "inertia": self.coordinates.inertia[:6].tolist(),
                 "stiffness": self.coordinates.stiffness[:6].tolist(),
                 "damping": self.coordinates.damping[:6].tolist(),
             },
-            "scan": {"period_s": self.periods.tolist(), "spectral_radius": self.radius.tolist()},
+            "scan": {
+                "period_s": self.periods.tolist(),
+                "spectral_radius": self.radius.tolist(),
+                "growth_rate_per_s": self.growth_rates.tolist(),
+            },
         }
+
+
+def _finite(ratio: float) -> float | None:
+    """Return None for an infinite ratio, because JSON has no infinite numbers."""
+    return float(ratio) if math.isfinite(ratio) else None
 
 
 def _mode_summary(mode: Mode) -> dict[str, Any]:
@@ -118,8 +134,8 @@ def _mode_summary(mode: Mode) -> dict[str, Any]:
 
 def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Scan:
     """Scan the period of the loop at a set point. `predict.predict` explains the arguments."""
-    # Compute the spectral radius for each period. Each call of `multipliers` handles one batch of
-    # periods.
+    # Compute ln of the spectral radius for each period. Each call of `multipliers` handles one
+    # batch of periods.
     roles = here.model.roles
     own, count = roles.period // roles.tick, _count(longest, roles.tick, roles.period)
     shortest = here.model.shortest
@@ -130,13 +146,14 @@ def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Scan:
     scanned = range(shortest, count + 1)
     maps, found = lifting.lifted_maps(map(here.loop, scanned), shortest), list[float]()
     while part := list(islice(maps, BATCH)):
-        found += [here.radius(multipliers) for multipliers in lifting.multipliers(part)]
-        if not beyond and max(found) >= 1.0:
+        multipliers = lifting.multipliers([one.matrix for one in part])
+        found += map(here.growth, multipliers, [one.scale for one in part])
+        if not beyond and max(found) >= 0.0:
             break
     # Find the stable intervals and the first unstable mode.
-    radius = np.array(found)
-    periods = np.array([seconds(n * roles.tick) for n in scanned[: radius.size]])
-    stable = radius < 1.0
+    growth = np.array(found)
+    periods = np.array([seconds(n * roles.tick) for n in scanned[: growth.size]])
+    stable = growth < 0.0
     unstable = np.flatnonzero(~stable)
     first = scanned[int(unstable[0])] if unstable.size else None
     last = count if first is None else first - 1
@@ -148,7 +165,8 @@ def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Scan:
         tick_s=seconds(roles.tick),
         period_s=seconds(roles.period),
         periods=periods,
-        radius=radius,
+        radius=np.exp(np.minimum(growth, LARGEST)),
+        growth_rates=growth / periods,
         largest_stable_s=seconds(last * roles.tick) if last >= shortest else 0.0,
         stable_s=_intervals(periods, stable),
         own=here.modes(own)[0],

@@ -13,6 +13,8 @@ docs/prediction.md derives these conditions.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from freeflyer.fmi.component import Array
@@ -39,3 +41,43 @@ def sampled_damper(damping: Array, inertia: Array, period: float, *, late: bool 
     follows from the characteristic equation z^2 - z + K_D T / m = 0.
     """
     return np.asarray(damping * period / ((1.0 if late else 2.0) * inertia))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoupledDamper:
+    """Sampled damper of six coupled axes, in the direction with the largest ratio.
+
+    `ratio` is K_D T / (2 M~). K_D and M~ are the damping and the inertia in this direction.
+    `direction` (6) is the velocity [linear; angular] in I. The part that dissipates more is scaled
+    to a unit vector.
+    """
+
+    ratio: float
+    direction: Array
+
+    def motion(self, body: str) -> str:
+        """Describe the direction of the motion of `body`."""
+        linear, angular = self.direction[:3], self.direction[3:]
+        rotates = abs(np.linalg.norm(angular) - 1.0) < 1e-9
+        axis = ", ".join(f"{x:.2f}" for x in np.round(angular if rotates else linear, 2) + 0.0)
+        return f"{body} {'rotation about' if rotates else 'translation along'} ({axis})"
+
+
+def coupled_damper(
+    rates: Array, damping: Array, period: float, *, late: bool = False
+) -> CoupledDamper:
+    """Return the sampled damper of six coupled axes with the period T [s].
+
+    `rates` (6, 6) is M^-1 K_D [1/s]: a velocity v causes the acceleration -`rates` v. The velocity
+    at the end of a period is (1 - T M^-1 K_D) v. In the direction of an eigenvector, with the
+    eigenvalue K_D / M~, the multiplier is 1 - K_D T / M~. It is below -1 if K_D T / (2 M~) is above
+    1. `damping` (6) is the diagonal of K_D. `late` is that of `sampled_damper`.
+    """
+    values, vectors = np.linalg.eig(rates)
+    k = int(np.argmax(values.real))
+    direction = vectors[:, k].real
+    dissipates = damping * direction**2
+    part = direction[3:] if dissipates[3:].sum() >= dissipates[:3].sum() else direction[:3]
+    size = np.linalg.norm(part) * np.sign(part[np.argmax(np.abs(part))])
+    ratio = sampled_damper(values[k].real, np.ones(()), period, late=late)
+    return CoupledDamper(ratio=float(ratio), direction=direction / (size or 1.0))

@@ -11,14 +11,18 @@ elements of this state. An element is removed if no later action reads it.
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from freeflyer.fmi.component import Array
+from freeflyer.foundation.errors import ScenarioError
 
 Indices = NDArray[np.intp]
 
@@ -134,6 +138,16 @@ class Loop:
     width: int
     tick: float
     parallel: bool = False
+
+
+class PeriodMap(NamedTuple):
+    """Map of the loop's state over one base period: exp(`scale`) * `matrix`.
+
+    `scale` is 0, unless the map has elements beyond the range of a double.
+    """
+
+    matrix: Array
+    scale: float
 
 
 class Instants:
@@ -255,27 +269,48 @@ def reduced(loop: Loop, kept: Indices) -> tuple[Array, Array]:
     return instants.after(columns, slow=False)[kept], instants.after(columns, slow=True)[kept]
 
 
-def lifted(loop: Loop, n: int) -> Array:
+def without_slow_laws(loop: Loop) -> Loop:
+    """Return the loop with all outputs of the slow laws at 0."""
+    laws = (law.each(np.zeros_like) if law.slow else law for law in loop.laws)
+    return replace(loop, laws=tuple(laws))
+
+
+def lifted(loop: Loop, n: int) -> PeriodMap:
     """Return the map of the relevant elements over n T_m. The plant's states come first."""
-    fast, slow = reduced(loop, relevant(loop))
-    return _without_irrelevant(np.linalg.matrix_power(fast, n - 1) @ slow, loop.plant.A.shape[0])
+    return next(lifted_maps([loop], n))
 
 
-def _without_irrelevant(period_map: Array, states: int) -> Array:
+def period_map(fast: Array, slow: Array, n: int) -> PeriodMap:
+    """Return the map over n T_m from both results of `reduced`.
+
+    If the fast laws alone are unstable, the power of `fast` can be beyond the range of a double.
+    The power of `fast` divided by its spectral radius is not.
+    """
+    found = np.linalg.matrix_power(fast, n - 1) @ slow
+    if np.isfinite(found).all():
+        return PeriodMap(found, 0.0)
+    radius = float(np.abs(np.linalg.eigvals(fast)).max())
+    return PeriodMap(
+        np.linalg.matrix_power(fast / radius, n - 1) @ slow, (n - 1) * math.log(radius)
+    )
+
+
+def _without_irrelevant(matrix: Array, states: int) -> Array:
     """Remove the elements of the state that do not affect the plant in a later period.
 
     The first `states` elements are the plant's states.
     """
-    kept = _ancestors(states, period_map)
-    return period_map[np.ix_(kept, kept)]
+    kept = _ancestors(states, matrix)
+    return matrix[np.ix_(kept, kept)]
 
 
-def lifted_maps(loops: Iterable[Loop], first: int = 1) -> Iterator[Array]:
+def lifted_maps(loops: Iterable[Loop], first: int = 1) -> Iterator[PeriodMap]:
     """Yield the maps of the loops over n T_m, for n = `first`, `first` + 1, ....
 
     The laws of a loop may depend on n. The map over n T_m contains the power n - 1 of the map in
     which only fast laws are sampled. As long as the fast laws of two successive loops are bitwise
-    equal, this power is updated by one multiplication.
+    equal, this power is updated by one multiplication. Raises ScenarioError if a map over T_m has
+    elements beyond the range of a double.
     """
     before: Loop | None = None
     for n, loop in enumerate(loops, start=first):
@@ -286,7 +321,14 @@ def lifted_maps(loops: Iterable[Loop], first: int = 1) -> Iterator[Array]:
             power = np.linalg.matrix_power(fast, n - 1)
         else:
             slow, power = reduced(loop, kept)[1], fast @ power
-        yield _without_irrelevant(power @ slow, states)
+        if not (np.isfinite(fast).all() and np.isfinite(slow).all()):
+            raise ScenarioError(
+                f"the linearised loop has numbers above {sys.float_info.max:.2g}; smaller gains, or larger masses and inertias, are expected"
+            )
+        found = PeriodMap(power @ slow, 0.0)
+        if not np.isfinite(found.matrix).all():
+            found = period_map(fast, slow, n)
+        yield found._replace(matrix=_without_irrelevant(found.matrix, states))
         before = loop
 
 

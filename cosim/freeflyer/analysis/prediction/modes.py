@@ -7,12 +7,18 @@ called T_b.
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from freeflyer.analysis.prediction.held_axis import sampled_damper, sampled_spring
+from freeflyer.analysis.prediction.held_axis import (
+    CoupledDamper,
+    sampled_damper,
+    sampled_spring,
+)
+from freeflyer.analysis.prediction.lifting import PeriodMap
 from freeflyer.analysis.prediction.task_coordinates import DEGREES, TaskCoordinates
 from freeflyer.fmi.component import Array
 
@@ -35,8 +41,9 @@ Kind = Literal["sampled spring", "sampled damper", "hand", "coupling"]
 """Cause that limits T_b.
 
 With "sampled spring" and "sampled damper", an axis of the base does not meet the condition with
-this name in `held_axis`. With "hand", the cause is in the loop of the end-effector. The name "hand"
-is a value in prediction.json. With "coupling", the cause is the coupling of base and end-effector.
+this name in `held_axis`. With "hand", the cause is in the loop of the end-effector: it is unstable
+at every T_b, or the unstable mode hardly moves the base. The name "hand" is a value in
+prediction.json. With "coupling", the cause is the coupling of base and end-effector.
 """
 
 
@@ -45,17 +52,15 @@ class Mode:
     """One eigenvalue (multiplier) of the map over one base period.
 
     `period` is the base period [s]. `shares` (12) contains, for each degree of freedom, its share
-    of the energy of the eigenvector. The sum of the shares is 1.
+    of the energy of the eigenvector. The sum of the shares is 1. `growth_rate` is ln |z| / T_b
+    [1/s] of multiplier z. It is negative for a decaying mode. If |z| is above the range of a
+    double, `multiplier` has the largest absolute value of the range, and `growth_rate` is exact.
     """
 
     period: float
     multiplier: complex
     shares: Array
-
-    @property
-    def growth_rate(self) -> float:
-        """Growth rate ln |z| / T_b [1/s] of multiplier z. It is negative for a decaying mode."""
-        return math.log(abs(self.multiplier)) / self.period
+    growth_rate: float
 
     @property
     def frequency(self) -> float:
@@ -116,6 +121,7 @@ class Limit:
     K_D T_b / (2 M~) of each axis. M~ is the inertia of the base in this axis. The ratios are
     computed at the stability boundary. A single axis is stable if both ratios are below 1. `late`
     is true in parallel exchange. The ratios are then 3 K_P T_b / (2 K_D) and K_D T_b / M~.
+    `fast_damper` is the same ratio K_D T_m / (2 M~) of the end-effector's own loop.
     """
 
     kind: Kind
@@ -123,10 +129,13 @@ class Limit:
     spring: Array
     damper: Array
     late: bool
+    fast_damper: CoupledDamper
 
     def description(self) -> str:
         """Describe the cause, with the two ratios of the axis and the remedy."""
         k = DEGREES.index(self.axis)
+        if self.kind == "hand":
+            return self._of_end_effector()
         names = (
             ("3 K_P T_b / 2 K_D", "K_D T_b / M~")
             if self.late
@@ -138,30 +147,47 @@ class Limit:
             return f"the sampled spring ({figures}; the limit is 1): more damping helps"
         if self.kind == "sampled damper":
             return f"the sampled damper ({figures}; the limit is 1): more damping makes the loop less stable"
-        if self.kind == "hand":
-            return "the end-effector loop: the base hardly moves in this mode"
         return f"the coupling of base and manipulator ({figures}: neither value is near the limit of 1)"
+
+    def _of_end_effector(self) -> str:
+        name = "K_D T_m / M~" if self.late else "K_D T_m / 2 M~"
+        figure = f"{name} = {self.fast_damper.ratio + 0.0:.3g}"
+        if self.fast_damper.ratio < 1.0:
+            return f"the end-effector loop: the base hardly moves in this mode ({figure}; the limit is 1)"
+        return (
+            f"the end-effector loop itself, a sampled damper that is unstable at every T_b ({figure} in {self.fast_damper.motion('end-effector')}; the limit is 1): "
+            f"less damping of the end-effector, a shorter T_m, or the matched law of its controller (discretisation = matched) helps"
+        )
+
+
+LARGEST = math.log(sys.float_info.max)
+"""ln of the largest number. A larger multiplier is replaced by this number."""
 
 
 def modes(
-    period_map: Array, period: float, coordinates: TaskCoordinates, states: int
+    period_map: PeriodMap, period: float, coordinates: TaskCoordinates, states: int
 ) -> list[Mode]:
     """Return all modes of a map over one base period. The least stable mode comes first.
 
     `period` is the base period [s]. A pair of complex multipliers is one mode. The first `states`
     elements of the vectors of the map are the plant's states. `coordinates` gives their energy.
     """
-    values, vectors = np.linalg.eig(period_map)
+    values, vectors = np.linalg.eig(period_map.matrix)
     found = []
     for k in np.argsort(-np.abs(values), kind="stable"):
         if values[k].imag >= 0.0:
             energy = coordinates.energy(vectors[:states, k])
+            size = max(abs(values[k]), sys.float_info.min)
+            growth = math.log(size) + period_map.scale
             # The energy of a mode in the null space is zero. `or 1.0` avoids a division by zero.
             found.append(
                 Mode(
                     period=period,
-                    multiplier=complex(values[k]),
+                    multiplier=complex(values[k])
+                    if period_map.scale == 0.0
+                    else complex(values[k]) / size * math.exp(min(growth, LARGEST)),
                     shares=energy / (energy.sum() or 1.0),
+                    growth_rate=growth / period,
                 )
             )
     return found
@@ -180,9 +206,17 @@ def limit_of(mode: Mode, coordinates: TaskCoordinates, *, late: bool = False) ->
     damper = sampled_damper(
         coordinates.damping[:6], coordinates.inertia[:6], mode.period, late=late
     )
-    kind: Kind = "hand" if mode.body == "hand" else "coupling"
-    if mode.body != "hand" and mode.oscillates and spring[axis] >= AT_LIMIT:
+    of_end_effector = mode.body == "hand" or coordinates.fast_damper.ratio >= 1.0
+    kind: Kind = "hand" if of_end_effector else "coupling"
+    if not of_end_effector and mode.oscillates and spring[axis] >= AT_LIMIT:
         kind = "sampled spring"
-    elif mode.body != "hand" and (mode.alternates or late) and damper[axis] >= AT_LIMIT:
+    elif not of_end_effector and (mode.alternates or late) and damper[axis] >= AT_LIMIT:
         kind = "sampled damper"
-    return Limit(kind=kind, axis=DEGREES[axis], spring=spring, damper=damper, late=late)
+    return Limit(
+        kind=kind,
+        axis=DEGREES[axis],
+        spring=spring,
+        damper=damper,
+        late=late,
+        fast_damper=coordinates.fast_damper,
+    )

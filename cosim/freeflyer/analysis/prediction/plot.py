@@ -8,7 +8,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import matplotlib
-import numpy as np
 
 from freeflyer.analysis.prediction.boundary import Scan
 from freeflyer.analysis.prediction.trajectory import AlongTrajectory
@@ -28,15 +27,16 @@ def write(figure: Figure, path: Path) -> None:
 def scan(prediction: Scan, along: AlongTrajectory | None) -> Figure:
     """Draw the growth rate ln(radius) / T_b as a function of T_b.
 
-    `radius` is the spectral radius of the map over one base period. Stable periods have a negative
-    growth rate. They are shaded. `along` is the result along the trajectory, if it was computed.
+    The radius is the spectral radius of the map over one base period. Stable periods have a
+    negative growth rate. They are shaded. `along` is the result along the trajectory, if it was
+    computed.
     """
     with plt.rc_context(STYLE):
         # Draw the growth rates of the scan. Extend the shading of each stable interval by half a
         # scan step on both sides.
         figure, axes = plt.subplots(figsize=(7.0, 2.8))
-        rate = np.log(np.maximum(prediction.radius, 1e-12)) / prediction.periods
-        axes.plot(prediction.periods, rate, label="at the set point", color=LINES[0]["color"])
+        rates = prediction.growth_rates
+        axes.plot(prediction.periods, rates, label="at the set point", color=LINES[0]["color"])
         half = 0.5 * prediction.tick_s
         for first, last in prediction.stable_s:
             axes.axvspan(first - half, last + half, color="#009E73", alpha=0.12, lw=0)

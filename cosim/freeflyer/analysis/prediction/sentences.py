@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
+
+from freeflyer.analysis.prediction.modes import LARGEST
 
 if TYPE_CHECKING:
     from freeflyer.analysis.prediction.boundary import Scan
@@ -54,8 +57,10 @@ def of_set_point(prediction: Scan) -> list[str]:
 
 def _grows(mode: Mode) -> str:
     z = mode.multiplier
-    value = f"{z.real:.4f}" if z.imag == 0.0 else f"{z.real:.4f} +- {abs(z.imag):.4f} i"
-    rate = mode.growth_rate
+    rate, form = mode.growth_rate, ".4f" if abs(z) < 1e6 else ".4g"
+    value = f"{z.real:{form}}" if z.imag == 0.0 else f"{z.real:{form}} +- {abs(z.imag):{form}} i"
+    if rate * mode.period > LARGEST:
+        value = f"above {sys.float_info.max:.2g}"
     pace = (
         f"doubles every {0.693147 / rate:.3g} s"
         if rate > 0.0

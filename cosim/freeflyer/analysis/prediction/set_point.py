@@ -7,9 +7,10 @@ is the step of the fast controllers (`loop_roles`).
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,14 +71,16 @@ class SetPoint:
         """Return the task coordinates of the loop with a base period of n T_m."""
         return task_coordinates(self.model, self.loop(n), self.point)
 
-    def radius(self, multipliers: NDArray[np.complex128]) -> float:
-        """Return the largest absolute value of the multipliers, without the neutral directions.
+    def growth(self, multipliers: NDArray[np.complex128], scale: float) -> float:
+        """Return ln of the spectral radius: of the largest multiplier that is not neutral.
 
-        Each neutral direction has the multiplier 1. If there are N neutral directions, the N
-        multipliers that are closest to 1 are left out.
+        The argument `multipliers` is divided by exp(`scale`) (`lifting.PeriodMap`). Each neutral
+        direction has the multiplier 1. If there are N neutral directions, the N multipliers that
+        are closest to 1 are left out.
         """
-        order = np.argsort(np.abs(multipliers - 1.0))
-        return float(np.abs(multipliers[order[self.neutral :]]).max())
+        order = np.argsort(np.abs(multipliers - math.exp(-scale)))
+        radius = float(np.abs(multipliers[order[self.neutral :]]).max())
+        return math.log(max(radius, sys.float_info.min)) + scale
 
     def modes(self, n: int) -> list[Mode]:
         """Return the modes without the neutral directions. The least stable mode comes first."""
@@ -94,8 +97,8 @@ class SetPoint:
 
     def _neutral(self) -> int:
         n = self.model.shortest
-        period_map = lifting.lifted(self.loop(n), n)
-        gaps = np.linalg.svd(period_map - np.eye(len(period_map)), compute_uv=False)
+        matrix, scale = lifting.lifted(self.loop(n), n)
+        gaps = np.linalg.svd(matrix - math.exp(-scale) * np.eye(len(matrix)), compute_uv=False)
         return int(np.count_nonzero(gaps < NEUTRAL))
 
 
@@ -105,8 +108,16 @@ def at_set_point(scenario: Scenario, component: str | None = None) -> Iterator[S
 
     `component` is the name of the scanned controller (default: the slowest controller).
     """
-    with linearisation.opened(scenario, component) as model:
-        yield SetPoint(model)
+    # Overflows have a defined result: `lifting.lifted_maps` handles them.
+    quiet = np.errstate(over="ignore", invalid="ignore")
+    with linearisation.opened(scenario, component) as model, quiet:
+        try:
+            yield SetPoint(model)
+        except np.linalg.LinAlgError as error:
+            raise ScenarioError(
+                f"the linearised loop of scenario {scenario.name} cannot be analysed ({error}); gains, masses and inertias of "
+                f"similar magnitude are expected"
+            ) from error
 
 
 def set_point(model: LoopModel) -> Point:
@@ -136,14 +147,13 @@ def set_point(model: LoopModel) -> Point:
 
 def _check_effect(model: LoopModel, loop: Loop) -> None:
     """Raise ScenarioError if small outputs of the scanned controller do not reach the plant."""
-    without = replace(
-        loop, laws=tuple(law.each(np.zeros_like) if law.slow else law for law in loop.laws)
+    with_all, with_others = (
+        lifting.Instants(each).feedback() for each in (loop, lifting.without_slow_laws(loop))
     )
-    with_all, with_others = (lifting.Instants(each).feedback() for each in (loop, without))
     if np.array_equal(with_all, with_others):
         raise ScenarioError(
-            f"small outputs of {model.roles.scanned} have no effect on {model.roles.plant}, for example because of actuators that are on or off; "
-            f"the prediction needs actuators without a dead zone"
+            f"small outputs of {model.roles.scanned} have no effect on {model.roles.plant}, for example because its gains are zero, or because of "
+            f"actuators that are on or off; the prediction needs a gain, and actuators without a dead zone"
         )
 
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from freeflyer.analysis.prediction.lifting import Instants, Loop
+from freeflyer.analysis.prediction.held_axis import CoupledDamper, coupled_damper
+from freeflyer.analysis.prediction.lifting import Instants, Loop, without_slow_laws
 from freeflyer.analysis.prediction.linearisation import LoopModel, Point
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import ScenarioError
@@ -43,7 +44,8 @@ class TaskCoordinates:
     other port. `stiffness` [N/m, N m/rad] and `damping` [N s/m, N m s/rad] describe the sampled
     control laws. The joints of a redundant manipulator can also move without a motion of the
     end-effector (null space). Therefore the states are not determined by the coordinates, and the
-    stiffness and the damping of the end-effector are estimates.
+    stiffness and the damping of the end-effector are estimates. `fast_damper` is the sampled damper
+    of the end-effector's own loop with the period T_m, while the slow laws hold their outputs.
     """
 
     pose: Array
@@ -51,6 +53,7 @@ class TaskCoordinates:
     inertia: Array
     stiffness: Array
     damping: Array
+    fast_damper: CoupledDamper
 
     def energy(self, x: Array) -> Array:
         """Return the energy [J] of each coordinate: 1/2 M~ |x'|^2 + 1/2 K_P |x|^2.
@@ -101,11 +104,19 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
     # Describe the laws by a wrench F = -K_P x - K_D x' at the ports. F causes the same acceleration
     # x'' as the wrenches and torques of the laws. In a redundant manipulator, a part of the torques
     # acts only in the null space. F does not contain this part.
-    feedback = Instants(loop).feedback()[inputs] @ np.linalg.pinv(np.vstack([pose, velocity]))
+    back = np.linalg.pinv(np.vstack([pose, velocity]))
+    feedback = Instants(loop).feedback()[inputs] @ back
     F = np.linalg.solve(inverse, acceleration) @ feedback
     # For the base, use the base wrench itself: its part J_b^T F_m does not depend on x_b.
     F[:6] = feedback[:6]
     stiffness, damping = -np.diag(F[:, :12]), -np.diag(F[:, 12:])
+    # x_m'' that the fast laws cause, for the velocities of the end-effector.
+    fast = acceleration[6:] @ Instants(without_slow_laws(loop)).feedback()[inputs] @ back[:, 18:]
     return TaskCoordinates(
-        pose=pose, velocity=velocity, inertia=inertia, stiffness=stiffness, damping=damping
+        pose=pose,
+        velocity=velocity,
+        inertia=inertia,
+        stiffness=stiffness,
+        damping=damping,
+        fast_damper=coupled_damper(-fast, damping[6:], loop.tick, late=loop.parallel),
     )

@@ -199,12 +199,10 @@ class Trajectory:
         """
         loops = loops or self.loops(n)
         kept = _relevant(loops)
-        maps = [
-            np.linalg.matrix_power(fast, n - 1) @ slow
-            for fast, slow in (lifting.reduced(loop, kept) for loop in loops)
-        ]
-        radius = np.array([np.abs(found).max() for found in lifting.multipliers(maps)])
-        return np.asarray(np.log(radius) / (n * seconds(self.model.roles.tick)))
+        maps = [lifting.period_map(*lifting.reduced(loop, kept), n) for loop in loops]
+        radius = [np.abs(z).max() for z in lifting.multipliers([one.matrix for one in maps])]
+        growth = np.log(radius) + [one.scale for one in maps]
+        return np.asarray(growth / (n * seconds(self.model.roles.tick)))
 
     def largest_stable(self, first: int, longest: int, progress: Progress | None = None) -> int:
         """Return the largest stable n up to `longest`, by bisection from the guess `first`.
