@@ -19,7 +19,6 @@ from typing import Any
 
 from freeflyer.foundation import process_identity
 from freeflyer.foundation.errors import CosimError, OutputError
-from freeflyer.scenario import run_directory
 from freeflyer.scenario.run_directory import DEAD, RECORD, ROWS, SUMMARY, UNFINISHED, RunDirectory
 
 AUDIT = "energy_audit.json"
@@ -191,7 +190,7 @@ def job_of(existing: Any, *, fails: bool = False) -> Callable[[Claimant], None]:
             if existing == "overwrite":
                 with quiet():
                     me.world.replaced |= contents(claimed.path)
-            # While the earlier content is renamed, another claimant may be faster. `begin` then fails.
+            # If another claimant is faster while the earlier content is renamed, `begin` fails.
             me.owned = None
             claimed.begin()
             me.owned = claimed

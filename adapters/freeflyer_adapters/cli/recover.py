@@ -70,13 +70,20 @@ class RecoverCommand:
                 done = recover(one, out if one is path else None, show)
                 console.print(done.sentence, soft_wrap=True)
         # The folder `unfinished` is removed last: until then, the run stays incomplete.
+        failures: list[RecordError] = []
         for run in runs:
             if not has_rows(run):  # a run with devices has only recordings
                 RunDirectory.take_over(run).release()
                 continue
-            result, _ = complete(run)
+            try:
+                result, _ = complete(run)
+            except RecordError as error:  # the other runs are completed nevertheless
+                failures.append(error)
+                continue
             console.print(
                 f"{run}: kept {result.record.rows} rows, up to {result.outcome.simulated:g} s: record.parquet, summary.json",
                 soft_wrap=True,
             )
+        if failures:
+            raise RecordError("; ".join(map(str, failures)))
         return DONE

@@ -43,8 +43,10 @@ def create(path: Path, header: Mapping[str, Any], rows: int, width: int) -> tupl
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         try:
             _reserve(handle, size)
+            times, values = _arrays(mmap.mmap(handle, size), start, rows, width)
+            times[:] = np.nan
+            # The header is last: without it, the zeros of a new file are no rows.
             os.pwrite(handle, (b"%s %d\n" % (MAGIC, len(text))).ljust(LINE) + text, 0)
-            mapped = mmap.mmap(handle, size)
         finally:
             os.close(handle)
     except OSError as error:
@@ -53,8 +55,6 @@ def create(path: Path, header: Mapping[str, Any], rows: int, width: int) -> tupl
         failure = OutputError(f"{path} for the rows of the record cannot be created: {error.strerror or error}.{need}")  # fmt: skip
         failure.exit_code = 2
         raise failure from error
-    times, values = _arrays(mapped, start, rows, width)
-    times[:] = np.nan
     return times, values
 
 

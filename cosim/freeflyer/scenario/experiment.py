@@ -95,8 +95,13 @@ class Result(Shown):
         `existing` is "keep" (rename it) or "overwrite" (replace the results). Raises OutputError.
         """
         claimed = claim(self.scenario, directory, existing)
-        claimed.begin()
-        self.finish(claimed)
+        with claimed:
+            claimed.begin()
+            try:
+                self.finish(claimed)
+            except OutputError:
+                (claimed.path / RECORD).unlink(missing_ok=True)
+                raise
         return claimed.path
 
     def finish(self, directory: RunDirectory) -> None:

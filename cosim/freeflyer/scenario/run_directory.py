@@ -92,7 +92,7 @@ def is_run(directory: Path) -> bool:
 
 
 def owner(directory: Path) -> str | None:
-    """Return which process has claimed a directory, in words. None: no process uses it now."""
+    """Return a text about the process that has claimed a directory, or None if there is none."""
     with contextlib.suppress(OSError), _claim(directory) as (_, user, _):
         return user
     return None
@@ -120,7 +120,7 @@ def _claim(directory: Path) -> Iterator[tuple[list[int], str | None, Path]]:
 
 
 def _user(handle: int, claim: Path) -> str | None:
-    """Return the live process of an open claim, in words, or None."""
+    """Return a text about the live process of an open claim, or None."""
     try:
         identity = _identity(handle)
         running = process_identity.is_running(identity)
@@ -259,8 +259,10 @@ class RunDirectory:
                 folder.mkdir()
                 self._made.append(folder)
             except FileExistsError:
-                if (exclusive and folder == path) or not folder.is_dir():
+                if exclusive and folder == path:
                     raise
+                if not folder.is_dir():
+                    raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)) from None
 
     def _lock(self, *, exclusive: bool) -> None:
         """Create the directory and its folder `unfinished`, which only one process can do."""
@@ -491,9 +493,11 @@ def _link(link: Path, target: Path) -> list[str]:
             aside = _free_name(link)
             try:
                 os.rename(link, aside)
-            except OSError:  # another run has renamed it
+            except OSError:
                 aside.rmdir()
-                return _link(link, target)
+                if link.is_symlink() or not link.is_dir():  # another run has renamed it
+                    return _link(link, target)
+                raise
             notes.append(f"{link} was a directory, and is now {aside}")
         os.symlink(target.name, new, target_is_directory=True)
         os.rename(new, link)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from freeflyer.foundation import bounded_file
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import OutputError, RecordError, one_line
 from freeflyer.foundation.toml_file import parsed
@@ -79,22 +80,24 @@ def _scenario(folder: Path, run: dict[str, Any]) -> Scenario:
 def complete(directory: Path) -> tuple[Result, RunDirectory]:
     """Write the results of a run whose process has died, from its rows.
 
-    The result has the verdict "interrupted", unless the last row is that at the stop time. Raises RecordError if the process still runs, or if no
-    row was written. Raises OutputError.
+    The result has the verdict "interrupted", unless the last row is that at the stop time. Raises
+    RecordError if the process still runs, or if no row was written. Raises OutputError.
     """
     claimed = RunDirectory.take_over(directory)
     with claimed:
         rows = directory / DEAD
         try:
-            described = json.loads((rows / DESCRIPTION).read_text(encoding="utf-8"))
+            described = json.loads(bounded_file.content(rows / DESCRIPTION, summary_file.LARGEST))
             provenance = Provenance.from_json(json.dumps(described["provenance"]))
             about = described["run"]
             scenario = _scenario(directory, about)
-        except (OSError, ValueError, LookupError, TypeError) as error:
-            raise RecordError(f"run {directory} had not begun when its process ended; there is nothing to recover") from error  # fmt: skip
+        except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+            raise RecordError(f"run {directory} had not begun when its process ended; there is nothing to recover, remove this directory") from error  # fmt: skip
         record = Record.from_rows(rows / ROWS)
         if not record.rows:
-            raise RecordError(f"run {directory} has no row yet; there is nothing to recover")
+            raise RecordError(
+                f"run {directory} has no row; there is nothing to recover, remove this directory"
+            )
         simulated = float(record.time[-1])
         early = simulated < seconds(scenario.stop)  # otherwise, only the results were not written
         record.provenance = replace(provenance, sampled_at_end=early)
