@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from freeflyer.foundation.extras import require
+from freeflyer.foundation.output_file import folder
 from freeflyer_fmus.errors import RobotError
 from freeflyer_fmus.export.compiler import PLATFORMS
 from freeflyer_fmus.export.fmus import (
@@ -68,7 +69,7 @@ class FmusCommand:
             default="host",
             help=f"host (default), all, or a list of {', '.join((*PLATFORMS, SOURCES))}",
         )
-        parser.add_argument("--out", type=Path, default=Path("fmus"), metavar="DIR")
+        parser.add_argument("--out", type=folder, default=Path("fmus"), metavar="DIR")
 
     def execute(self, arguments: argparse.Namespace, console: Any) -> int:
         platforms, _ = chosen_platforms(arguments.platforms)
@@ -107,7 +108,7 @@ def assignment(text: str, option: str) -> tuple[str, float]:
         return name, float(value)
     except ValueError as error:
         raise RobotError(
-            f"{option} {text}: JOINT=VALUE with a number is expected, for example {name}=0.5"
+            f"{option} {text}: JOINT=VALUE with a number is expected, for example {name or 'JOINT'}=0.5"
         ) from error
 
 

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from freeflyer.foundation.errors import ComponentError, StepFailed, one_line
-from freeflyer.foundation.keys import TEXT, Key, Keys, declares, read
+from freeflyer.foundation.keys import Key, Keys, declares, file_path, read
 from freeflyer.foundation.port import Port, input_writer, output_reader
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_fmus.blocks.block import Block, Requirement, Variable
@@ -384,8 +384,8 @@ class _Evaluator:
 
 
 OPTIONS: Keys = {
-    "block": Key(TEXT, "the name of a shipped block, or a FILE.py; default: the name of the component"),
-    "robot": Key(TEXT, "the name of a shipped robot, or the path of a robot file; default: the LWR 4+ with six joints"),
+    "block": Key(file_path(".py"), "the name of a shipped block, or a FILE.py; default: the name of the component"),
+    "robot": Key(file_path(".toml"), "the name of a shipped robot, or the path of a robot file; default: the LWR 4+ with six joints"),
 }  # fmt: skip
 
 

@@ -92,7 +92,7 @@ def test_a_mistake_in_the_devices_of_a_scenario_is_one_sentence(
     [
         ("[grid]\n'base_controller.perod' = [1]", "no parameter 'perod'; did you mean 'period'"),
         ("[gird]\nstop_s = [1]\n[map]", "unknown key 'gird' in the sweep"),
-        ("[grid]\n'stop_s' = [1, 2]\n[map]\nx = 'stop_s'\ny = { a = 1 }", "[map] y is {'a': 1}"),
+        ("[grid]\n'stop_s' = [1, 2]\n[map]\nx = 'stop_s'\ny = { a = 1 }", "[map] y is { a = 1 }"),
     ],
 )
 def test_a_mistake_in_a_sweep_is_one_sentence(

@@ -109,6 +109,8 @@ def test_an_invalid_urdf_is_rejected(
             "outside the joint's limits [-0.5, 0.5]",
         ),
         ((*GANTRY, "--posture", "slide_x=0"), "posture lacks the joints slide_y"),
+        ((*GANTRY, "--posture", "-1e-05", "-.5E3"), "posture has 2 values; 6 values are expected"),
+        (("--lock", "="), "for example JOINT=0.5"),
         (
             (*GANTRY, "--tool-link", "antenna"),
             "tool link 'antenna' must have an <inertial> and be between",

@@ -40,8 +40,16 @@ def scenario_file(directory: Path, text: str, base: str | None = "multirate_pass
         ("base_controller.period=0.1 parsec", "unit 'parsec' cannot be converted to 's'"),
         ("base_controller.period=0.1 foo_", "unit 'foo_' is not known"),
         ("base_controller.period=nan", "finite numbers are expected"),
+        ("robot.base_mass=1e300 Gt", "base_mass is 1e+300 Gt; finite numbers are expected"),
+        ("robot.base_mass='=free_flyer'", "is '=free_flyer'; '=COMPONENT.PARAMETER' is expected"),
+        ("robot.base_mass={first=1}", "base_mass has 1 in 'first'; a list of 1 to 1 values"),
+        ("robot.base_mass={csv=1}", "base_mass is { csv = 1 }; { value = ..., unit = ... }"),
+        (
+            "manipulator_controller.base_passivity_control=5 ms",
+            "base_passivity_control is 5 ms; true or false is expected",
+        ),
         ("base_controller.period=inf", "finite numbers are expected"),
-        ("base_controller.period=-1", "is -1.0 s; a positive whole number of nanoseconds"),
+        ("base_controller.period=-1", "is -1.0 s; a time greater than zero"),
         (
             "base_controller.period=0.0025",
             "step of 0.0025 s is not a multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit",
@@ -120,7 +128,7 @@ def test_a_singular_jacobian_stops_the_run_and_keeps_the_record(
             "unknown key 'componets' in the scenario; did you mean 'components'",
         ),
         ("stop_s = 'long'\n", "stop_s is 'long'; a number of seconds is expected"),
-        ("stop_s = 0.3333333333\n", "a positive whole number of nanoseconds"),
+        ("stop_s = 0.3333333333\n", "0.3333333333 s; a whole number of nanoseconds is expected"),
         ("expect = 'glory'\n", "expect is 'glory'"),
         ("[components.extra]\nfmu='free_flyer'\n", "component extra has no step_s"),
         (
@@ -163,7 +171,7 @@ def test_a_singular_jacobian_stops_the_run_and_keeps_the_record(
         ),
         (
             "[components.free_flyer]\nstep_s = { value = true, unit = 's' }\n",
-            "step_s is {'value': True, 'unit': 's'}",
+            "step_s is true s; seconds, a time with a unit such as '20 ms', or '=PARAMETER' is expected",
         ),
         ("[record]\nevery_s = 0.0015\n", "the recording interval of 0.0015 s is not a multiple"),
         ("stop_s = \n", "is not valid TOML"),
@@ -542,3 +550,39 @@ def test_invalid_arguments_are_reported_by_argparse(capsys: pytest.CaptureFixtur
             command.call(arguments)
         assert caught.value.code == 2
         assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["-1e-05", "-.5e3", "-1_0.", "-5", "-inf", "-Infinity", "-NaN"])
+def test_a_negative_number_is_the_value_of_an_option(
+    capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    code, error = run_command(capsys, "predict", "multirate_passive", "--longest", text)
+    assert code == 2
+    assert f"--longest {float(text):g}: a time of 0.001 s" in error
+
+
+@pytest.mark.parametrize("text", ["-e5", "-1e", "-x", "-in", "--5"])
+def test_other_texts_with_a_hyphen_are_options(
+    capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    with pytest.raises(SystemExit):
+        command.call(["predict", "multirate_passive", "--longest", text])
+    assert "argument --longest: expected one argument" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("run", "multirate_passive", "--step", "fast"), "argument --step: 'fast' is not a number"),
+        (("sweep", "base_period", "--workers", "1e3"), "--workers: '1e3' is not a whole number"),
+        (("fmus", "--out", ""), "argument --out: a directory is expected, got an empty name"),
+    ],
+)
+def test_an_argument_of_the_wrong_type_is_one_sentence(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
+) -> None:
+    with pytest.raises(SystemExit):
+        command.call(arguments)
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1

@@ -141,12 +141,12 @@ def test_a_missing_certificate_is_reported(refused: Refused, bench: tuple[Rig, P
 
 
 def test_another_authority_is_reported(refused: Refused, bench: tuple[Rig, Process]) -> None:
-    found = refused('devices.base_robot.certificates="rogue"')
+    found = refused(f"devices.base_robot.certificates={bench[0].folder / 'rogue'}")
     assert "'base_robot', was signed by another authority than ours" in found
 
 
 def test_an_expired_certificate_is_reported(refused: Refused, bench: tuple[Rig, Process]) -> None:
-    found = refused('devices.base_robot.certificates="expired"')
+    found = refused(f"devices.base_robot.certificates={bench[0].folder / 'expired'}")
     assert re.search(
         r"controller.pem expired on .* UTC; `freeflyer certificates .* --renew controller` makes a new certificate",
         found,

@@ -169,7 +169,7 @@ def test_every_kind_is_supported_by_a_device() -> None:
     [
         ({"faults": 3}, r"a list of tables, \[\[facility.faults\]\], is expected"),
         ({"faults": [{"kind": "los", "device": "a"}]}, "kind is 'los'; did you mean 'loss'?"),
-        ({"faults": [{"kind": "loss"}]}, r"device is None; the name of a device in \[devices\] is expected"),
+        ({"faults": [{"kind": "loss"}]}, r"device is missing; the name of a device in \[devices\] is expected"),
         ({"faults": [{"kind": "loss", "device": "a", "probability": 1.5}]}, "probability is 1.5; a number from 0 to 1 is expected"),
         ({"faults": [{"kind": "loss", "device": "a", "probability": float("nan")}]}, "probability is nan"),
         ({"faults": [{"kind": "loss", "device": "a", "bits": 3}]}, "bits does not apply to loss"),
@@ -177,7 +177,7 @@ def test_every_kind_is_supported_by_a_device() -> None:
         ({"faults": [{"kind": "cut", "device": "a", "direction": "back"}]}, "direction is 'back'; one of to_controller, to_device, both"),
         ({"faults": [{"kind": "dead", "device": "a", "direction": "to_device"}]}, "dead affects the whole device and has no direction"),
         ({"faults": [{"kind": "flipped_bits", "device": "a", "bits": 0}]}, "bits is 0; a whole number from 1 to 64 is expected"),
-        ({"faults": [{"kind": "delay", "device": "a", "delay_s": True}]}, "delay_s is True"),
+        ({"faults": [{"kind": "delay", "device": "a", "delay_s": True}]}, "delay_s is true"),
         ({"random_faults": []}, "a table is expected"),
         ({"random_faults": {"seed": "x"}}, "seed is 'x'; a whole number"),
         ({"random_faults": {"kinds": ["x"]}}, "kinds is"),

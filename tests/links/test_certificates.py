@@ -192,7 +192,7 @@ def test_renewing_keeps_hosts_and_uses_and_makes_a_new_key(
         (["--days", "0"], "more than 0 and at most 3650 days"),
         (["--days", "nan"], "more than 0"),
         (["--days", "1e9"], "at most 3650"),
-        (["--days", "soon"], "invalid float value"),
+        (["--days", "soon"], "'soon' is not a number"),
         (["--renew", "controler"], "there is no"),
     ],
 )

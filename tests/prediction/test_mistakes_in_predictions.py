@@ -26,7 +26,7 @@ MISTAKES = {
     "not a number": (["multirate_unstable", "--longest", "nan"], "--longest nan"),
     "text instead of a number": (
         ["multirate_unstable", "--longest", "long"],
-        "invalid float value",
+        "argument --longest: 'long' is not a number",
     ),
     "too many periods": (["multirate_unstable", "--longest", "1e9"], "at most 100 s is expected"),
     "misspelt controller": (

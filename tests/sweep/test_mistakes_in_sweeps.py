@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import threading
@@ -119,7 +120,7 @@ def error_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *op
         ),
         (
             f"[sample]\ncount = 0\n[sample.parameters]\n{P} = {{ low = 0.1, high = 0.2 }}",
-            "[sample] count is 0; a whole number of at",
+            "[sample] count is 0; a whole number from 1",
         ),
         (
             f"[sample]\ncount = 3\nmethod = 'latin'\n[sample.parameters]\n{P} = [1]",
@@ -128,7 +129,7 @@ def error_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *op
         ("[sample]\ncount = 3", "[sample] has no parameters"),
         (
             f"[sample]\ncount = 3\n[sample.parameters]\n{P} = {{ low = 0.1 }}",
-            "high is None; a number is expected",
+            "high is missing; a number is expected",
         ),
         (
             f"[grid]\n{P} = [0.1]\n[map]\nx = {P}\ny = 'base_controller.damping'",
@@ -171,6 +172,10 @@ def test_errors_in_files_are_rejected(
         ),
         (("missing.toml",), "sweep file missing.toml does not exist"),
         (("stability_map", "--workers", "0"), "at least one worker is expected"),
+        (
+            ("stability_map", "--workers", "100000"),
+            f"because this machine has {os.cpu_count()} cores",
+        ),
         (
             ("stability_map", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"),
             "give either --workers or --scheduler",

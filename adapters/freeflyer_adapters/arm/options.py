@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from freeflyer.foundation.keys import TEXT, WHOLE, Key, Keys, choice, keys_of, read, setting
+from freeflyer.foundation.keys import WHOLE, Key, Keys, choice, file_path, keys_of, read, setting
 from freeflyer.scenario.keys import COMPONENT
 from freeflyer_adapters.arm.frames import FrameMapping
 from freeflyer_adapters.can.link import BUS
@@ -38,7 +38,7 @@ MAPPING = keys_of(FrameMapping)
 # fmt: off
 KEYS: Keys = {
     **keys_of(ArmOptions),
-    "dbc": Key(TEXT, "path of the DBC, relative to the scenario; default: the shipped arm.dbc"),
+    "dbc": Key(file_path(), "path of the DBC, relative to the scenario; default: the shipped arm.dbc"),
     **MAPPING,
     "activation": Key(choice("explicit", "implicit"), "`\"implicit\"`: a torque frame activates the arm, which has no mode `activate`", default="explicit"),
 }

@@ -17,6 +17,7 @@ from freeflyer.foundation.keys import (
     Key,
     Type,
     expecting,
+    file_path,
     keys_of,
     read,
     setting,
@@ -30,7 +31,7 @@ from freeflyer_adapters.foundation.errors import DeviceError
 
 LONGEST_FRAME = 200
 """Longest frame name [bytes]."""
-_TOPIC = Type(text_of(rmw_zenoh.TOPIC), "{name} is {value!r}, not a valid key expression of a ROS topic; 'name/name' is expected")  # fmt: skip
+_TOPIC = Type(text_of(rmw_zenoh.TOPIC), "{name} is {value}, not a valid key expression of a ROS topic; 'name/name' is expected")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +55,7 @@ class LinkOptions:
     frame: str = setting(Key(TEXT, "frame of the poses", default="inertial"))
     child_frame: str = setting(Key(TEXT, "frame of the base robot", default="base"))
     node: str = setting(Key(expecting(text_of(rmw_zenoh.NAME), "a ROS node name of letters, digits and underscores is expected"), "name of the controller's ROS node", default="freeflyer"))
-    certificates: Path | None = setting(Key(TEXT, "folder made by `freeflyer certificates`, relative to the scenario. It has ca.pem, and a certificate and a key for each name"))
+    certificates: Path | None = setting(Key(file_path(), "folder made by `freeflyer certificates`, relative to the scenario. It has ca.pem, and a certificate and a key for each name"))
     controller: str = setting(Key(TEXT, "common name of the controller's certificate", default="controller"))
     robot: str = setting(Key(TEXT, "common name of the base robot's certificate; default: the name of the device"), "base_robot")
     commanders: Sequence[str] = setting(Key(LIST, "certificate names of the controllers that may command the base robot; default: `controller`"), ("controller",))

@@ -11,7 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from freeflyer.foundation.keys import ANY, LIST, TEXT, WHOLE, Key, Keys, between, expecting, read
+from freeflyer.foundation.keys import (
+    ANY,
+    LIST,
+    WHOLE,
+    Key,
+    Keys,
+    Type,
+    between,
+    expecting,
+    file_path,
+    read,
+)
+from freeflyer.foundation.toml_file import as_written
 from freeflyer.scenario.keys import COMPONENT
 from freeflyer_adapters.can.link import BUS
 from freeflyer_adapters.cia402.objects import SHIPPED_EDS
@@ -43,22 +55,22 @@ class DriveOptions:
 # fmt: off
 _PER_JOINT = {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "array", "items": {"type": "number", "exclusiveMinimum": 0}}]}
 MOTOR: Keys = {
-    "rated_torque": Key(ANY, "rated torque of the motors [N m]: one number, or a list with one number for each joint", inner=_PER_JOINT),
+    "rated_torque": Key(Type({}, unit="N.m"), "rated torque of the motors [N m]: one number, or a list with one number for each joint", inner=_PER_JOINT),
     "encoder_resolution": Key(ANY, "increments per revolution of the motors", default=4096.0, inner=_PER_JOINT),
     "gear_ratio": Key(ANY, "motor revolutions per joint revolution", default=1.0, inner=_PER_JOINT),
     "velocity_scale": Key(ANY, "units of 606Ch per increment/s", default=1.0, inner=_PER_JOINT),
 }
 KEYS: Keys = {
     **BUS,
-    "bitrate": Key(between(1e4, 1e6), "bit rate [bit/s]", default=1e6),
+    "bitrate": Key(between(1e4, 1e6, "bit/s"), "bit rate [bit/s]", default=1e6),
     "joints": Key(WHOLE, "number of joints", default=6),
     "node_ids": Key(LIST, "CANopen node numbers of the drives; default: 1, 2, ..."),
     "host_node_id": Key(WHOLE, "CANopen node number of the host", default=127),
-    "eds": Key(TEXT, "path of the drives' EDS file, relative to the scenario; default: the shipped drive.eds"),
+    "eds": Key(file_path(), "path of the drives' EDS file, relative to the scenario; default: the shipped drive.eds"),
     **MOTOR,
     "velocity": Key(expecting({"enum": ["measured", "estimated"]}, "'measured' (TPDO2) or 'estimated' (from positions) is expected"),
                     "`\"measured\"`: the drives send velocities; `\"estimated\"`: the host computes them from positions", default="measured"),
-    "heartbeat_s": Key(between(0.01, 10.0), "heartbeat period of the drives and of the host [s]", default=0.1),
+    "heartbeat_s": Key(between(0.01, 10.0, "s"), "heartbeat period of the drives and of the host [s]", default=0.1),
     "largest_load": Key(between(0.05, 1.0), "largest allowed bus load, as a fraction", default=0.8),
 }
 # fmt: on
@@ -131,6 +143,6 @@ def _per_joint(name: str, key: str, value: Any, joints: int) -> list[float]:
     for v in values:
         if isinstance(v, bool) or not isinstance(v, int | float) or not 0.0 < v < 1e9:
             raise DeviceError(
-                f"device {name}: {key} has {v!r}; a number greater than zero is expected"
+                f"device {name}: {key} has {as_written(v)}; a number greater than zero is expected"
             )
     return [float(v) for v in values]

@@ -28,6 +28,7 @@ from freeflyer.foundation.keys import (
 )
 from freeflyer.foundation.keys import read as read_keys
 from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.toml_file import as_written
 from freeflyer_adapters.foundation.errors import DeviceError
 
 Direction = Literal["to_controller", "to_device", "both"]
@@ -79,12 +80,12 @@ class Fault:
     kind: str = field(metadata={"key": Key(ANY, "kind of the fault: " + "; ".join(f"`{name}`: {kind.description}" for name, kind in KINDS.items()), inner={"enum": list(KINDS)})})
     device: str = field(metadata={"key": Key(expecting({"type": "string"}, "the name of a device in [devices] is expected"), "name of the device", required=True)})
     direction: Direction = setting(Key(expecting({"enum": list(DIRECTIONS)}, f"one of {', '.join(DIRECTIONS)} is expected"), "direction of the packets", default="both"))
-    begin_s: float | None = setting(Key(expecting({"type": "number", "minimum": 0, "maximum": 1e9}, "a number, zero or more is expected"), "start [s] after the first activation of the device in a session; without this key, the fault is active from the start"))
-    duration_s: float = setting(Key(expecting({"type": "number", "minimum": 1e-9}, "a number greater than zero is expected"), "duration [s], rounded to whole cycles of the facility"), math.inf)
+    begin_s: float | None = setting(Key(expecting({"type": "number", "minimum": 0, "maximum": 1e9}, "a number, zero or more is expected", "s"), "start [s] after the first activation of the device in a session; without this key, the fault is active from the start"))
+    duration_s: float = setting(Key(expecting({"type": "number", "minimum": 1e-9}, "a number greater than zero is expected", "s"), "duration [s], rounded to whole cycles of the facility"), math.inf)
     probability: float = setting(Key(between(0, 1), "probability that the fault affects a packet. It is applied to each packet separately", default=1.0))
-    delay_s: float = setting(Key(expecting({"type": "number", "minimum": 0, "maximum": 10}, "a number of seconds from 0 to 10 is expected"), "delay [s], rounded up to whole cycles of the facility", default=0.01))
+    delay_s: float = setting(Key(expecting({"type": "number", "minimum": 0, "maximum": 10}, "a number of seconds from 0 to 10 is expected", "s"), "delay [s], rounded up to whole cycles of the facility", default=0.01))
     bits: int = setting(Key(whole(1, 64), "number of inverted bits", default=1))
-    jump_s: float = setting(Key(expecting({"type": "number", "minimum": -1e6, "maximum": 1e6}, "a number of seconds from -1e6 to 1e6 is expected"), "jump of the clock [s]; it may be negative", default=1.0))
+    jump_s: float = setting(Key(expecting({"type": "number", "minimum": -1e6, "maximum": 1e6}, "a number of seconds from -1e6 to 1e6 is expected", "s"), "jump of the clock [s]; it may be negative", default=1.0))
     # fmt: on
 
     def one_line(self) -> str:
@@ -96,7 +97,7 @@ class Fault:
         return f"{self.kind.replace('_', ' ')} of {self.device}{where}: {when}{lasting}{how}"
 
 
-_SPAN = expecting({"type": "number", "minimum": 1e-9, "maximum": 1e9}, "a number of seconds greater than zero is expected")  # fmt: skip
+_SPAN = expecting({"type": "number", "minimum": 1e-9, "maximum": 1e9}, "a number of seconds greater than zero is expected", "s")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +122,7 @@ def read(raw: Any) -> tuple[Fault, ...]:
     """Read `[[facility.faults]]`. Raises DeviceError for an invalid key or value."""
     if not isinstance(raw, list) or not all(isinstance(entry, Mapping) for entry in raw):
         raise DeviceError(
-            f"[facility] faults is {raw!r}; a list of tables, [[facility.faults]], is expected"
+            f"[facility] faults is {as_written(raw)}; a list of tables, [[facility.faults]], is expected"
         )
     return tuple(
         _read_one(f"[[facility.faults]] number {i + 1}", entry) for i, entry in enumerate(raw)
@@ -134,7 +135,7 @@ def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
     if not isinstance(kind, str) or kind not in KINDS:
         hint = did_you_mean(str(kind), KINDS) or f"; one of {', '.join(KINDS)} is expected"
         raise DeviceError(
-            f"{subject}: kind is {kind!r}{hint}"
+            f"{subject}: kind is {as_written(kind)}{hint}"
             if kind is not None
             else f"{subject}: kind is missing{hint}"
         )
@@ -152,13 +153,13 @@ def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
         raise DeviceError(
             f"{subject}: {kind} affects the whole device and has no direction; remove direction"
         )
-    return Fault(**entry)
+    return Fault(**{key: given[key] for key in entry})
 
 
 def read_random(raw: Any) -> RandomFaults:
     """Read `[facility.random_faults]`. Raises DeviceError for an invalid key or value."""
     if not isinstance(raw, Mapping):
-        raise DeviceError(f"[facility] random_faults is {raw!r}; a table is expected")
+        raise DeviceError(f"[facility] random_faults is {as_written(raw)}; a table is expected")
     prefix = "[facility.random_faults] "
     given = read_keys(raw, RANDOM, DeviceError, prefix, unknown="{name} is not known")
     return RandomFaults(**{**given, "kinds": tuple(given["kinds"])})

@@ -20,10 +20,10 @@ WATCHDOG_CYCLES, WATCHDOG = (
 """Each pair contains a parameter of a device, and the key of [facility] with the same meaning."""
 
 
-def _setting(default: float, meaning: str) -> Any:
+def _setting(default: float, meaning: str, unit: str = "") -> Any:
     kind, expected = ("integer", "whole number") if isinstance(default, int) else ("number",) * 2
     schema = {"type": kind, "exclusiveMinimum": 0, "exclusiveMaximum": 1e6}
-    of_type = expecting(schema, f"a {expected} greater than zero is expected")
+    of_type = expecting(schema, f"a {expected} greater than zero is expected", unit)
     return setting(Key(of_type, meaning, default=default))
 
 
@@ -33,14 +33,14 @@ class FacilitySettings:
 
     # fmt: off
     arm_watchdog_cycles: int = _setting(4, "Age of the last command [cycles] at which the arm goes to the state safe_stop. With the default value, the arm goes to this state within five cycles after the last command")
-    base_watchdog_s: float = _setting(0.02, "Time without a set point [s] after which the base holds its position")
-    forget_after_s: float = _setting(1.0, "Time without a message [s] after which the session ends. The robots then return to their start poses")
-    base_jump_m: float = _setting(0.01, "Largest distance [m] from the previous set point of the base to a new set point. For the first set point, the distance starts at the pose of the robot")
-    base_jump_rad: float = _setting(0.02, "Largest angle [rad] from the previous set point of the base to a new set point")
+    base_watchdog_s: float = _setting(0.02, "Time without a set point [s] after which the base holds its position", "s")
+    forget_after_s: float = _setting(1.0, "Time without a message [s] after which the session ends. The robots then return to their start poses", "s")
+    base_jump_m: float = _setting(0.01, "Largest distance [m] from the previous set point of the base to a new set point. For the first set point, the distance starts at the pose of the robot", "m")
+    base_jump_rad: float = _setting(0.02, "Largest angle [rad] from the previous set point of the base to a new set point", "rad")
     measure_every: int = _setting(4, "Arm cycles between two measurements of the base")
     describe_every: int = _setting(100, "Cycles between two description frames. An active arm sends no description frames")
-    ramp_down_time_s: float = _setting(0.25, "Damped ramp-down: time [s] until the torque is zero")
-    ramp_down_damping: float = _setting(5.0, "Damping of the joint speeds during the ramp-down [N m s/rad]")
+    ramp_down_time_s: float = _setting(0.25, "Damped ramp-down: time [s] until the torque is zero", "s")
+    ramp_down_damping: float = _setting(5.0, "Damping of the joint speeds during the ramp-down [N m s/rad]", "N.m.s/rad")
     seed: int = _setting(1, "Seed of the random effects of the faults. The choice of random faults has its own seed")
     faults: tuple[Fault, ...] = setting(Key(ANY, "`[[facility.faults]]`: scheduled faults", inner=FAULTS), ())
     random_faults: RandomFaults | None = setting(Key(ANY, "random faults", inner=table_schema(RANDOM)))

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import argparse
 import io
+import re
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from typing import TYPE_CHECKING, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from freeflyer.foundation.errors import CosimError, report_error
 from freeflyer.foundation.exit_codes import BAD_INPUT, STOPPED
@@ -150,10 +151,23 @@ def call(arguments: Sequence[str]) -> int:
         return report_error(f"the output cannot be written: {error.strerror or error}", STOPPED)
 
 
+NEGATIVE = re.compile(
+    r"-(?:(?:\d[\d_]*\.?[\d_]*|\.\d[\d_]*)(?:e[-+]?\d+)?|inf(?:inity)?|nan)$", re.I
+)
+"""Negative numbers, which are values and not options: -5, -1e-05, -.5e3, -inf."""
+
+
 class Parser(argparse.ArgumentParser):
     """An argument parser. Its error message is one line and does not contain the usage."""
 
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        # The pattern of argparse has no numbers with an exponent.
+        self._negative_number_matcher = NEGATIVE
+
     def error(self, message: str) -> NoReturn:
+        message = re.sub("invalid int value: (.*)", r"\1 is not a whole number", message)
+        message = re.sub("invalid float value: (.*)", r"\1 is not a number", message)
         self.exit(BAD_INPUT, f"freeflyer: {message}; see `{self.prog} --help`\n")
 
 

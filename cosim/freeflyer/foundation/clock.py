@@ -10,18 +10,23 @@ from decimal import Decimal
 from freeflyer.foundation.errors import ScenarioError
 
 SECOND = 1_000_000_000
+LONGEST = 9_000_000_000
+"""Largest time [s], 285 years. A time [ns] has 64 bits."""
 
 
 def nanoseconds(seconds: float, subject: str) -> int:
     """Convert a positive decimal number of seconds to nanoseconds without rounding.
 
-    `subject` is the name of the time in the error message. Raises ScenarioError if the number of
-    nanoseconds is not a positive whole number.
+    `subject` is the name of the time in the error message. Raises ScenarioError if the time exceeds
+    `LONGEST`, or if the number of nanoseconds is not a positive whole number.
     """
-    exact = Decimal(repr(float(seconds))) * SECOND if abs(seconds) < 9e9 else Decimal(0)
-    if exact != int(exact) or exact <= 0:
+    if not 0 < seconds <= LONGEST:
+        expected = f"at most {LONGEST} s is" if seconds > 0 else "a time greater than zero is"
+        raise ScenarioError(f"{subject} is {seconds!r} s; {expected} expected")
+    exact = Decimal(repr(float(seconds))) * SECOND
+    if exact != int(exact):
         raise ScenarioError(
-            f"{subject} is {seconds!r} s; a positive whole number of nanoseconds is expected"
+            f"{subject} is {seconds!r} s; a whole number of nanoseconds is expected"
         )
     return int(exact)
 

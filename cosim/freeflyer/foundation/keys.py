@@ -14,6 +14,8 @@ from types import UnionType
 from typing import Any, NamedTuple, TypeVar
 
 from freeflyer.foundation.suggestions import unknown_keys
+from freeflyer.foundation.toml_file import as_written
+from freeflyer.foundation.units import in_unit
 
 Schema = Mapping[str, Any]
 """JSON Schema, draft 2020-12. `fits` lists the keywords that a `Type` may have."""
@@ -23,11 +25,15 @@ F = TypeVar("F", bound=Callable[..., Any])
 class Type(NamedTuple):
     """Type of a value: its JSON Schema, and the error message for a value that does not match.
 
-    The message may contain {name} and {value}.
+    The message may contain {name} and {value}. If the type has a `unit`, the value may also have
+    another unit, from which `read` converts it. If the value is the path of a file, `paths` has the
+    endings of such a path; an empty ending means that every text is a path.
     """
 
     schema: Schema
     message: str = ""
+    unit: str = ""
+    paths: tuple[str, ...] = ()
 
 
 class Key(NamedTuple):
@@ -49,18 +55,22 @@ Keys = Mapping[str, Key]
 
 
 def choice(*names: str) -> Type:
-    expected = " or ".join(map(repr, names))
-    return Type({"enum": list(names)}, f"{{name}} is {{value!r}}; {expected} is expected")
+    return expecting({"enum": list(names)}, f"{' or '.join(map(repr, names))} is expected")
 
 
-def between(least: float, most: float) -> Type:
+def between(least: float, most: float, unit: str = "") -> Type:
     expected = f"a number from {least:g} to {most:g} is expected"
-    return expecting({"type": "number", "minimum": least, "maximum": most}, expected)
+    return expecting({"type": "number", "minimum": least, "maximum": most}, expected, unit)
 
 
-def expecting(schema: Schema, expected: str) -> Type:
+def expecting(schema: Schema, expected: str, unit: str = "") -> Type:
     """Return a type with the message "NAME is VALUE; EXPECTED"."""
-    return Type(schema, f"{{name}} is {{value!r}}; {expected}")
+    return Type(schema, f"{{name}} is {{value}}; {expected}", unit)
+
+
+def file_path(*endings: str) -> Type:
+    """Return the type of a text that is a path if it has one of `endings`, see `Type.paths`."""
+    return TEXT._replace(paths=endings or ("",))
 
 
 def whole(least: int, most: int) -> Type:
@@ -80,7 +90,19 @@ WHOLE = expecting({"type": "integer"}, "a whole number is expected")
 SWITCH = expecting({"type": "boolean"}, "true or false is expected")
 LIST = expecting({"type": "array"}, "a list is expected")
 TABLE = expecting({"type": "object"}, "a table is expected")
-SECONDS = expecting({"type": "number"}, "a number of seconds is expected")
+SECONDS = expecting(
+    {"type": "number"},
+    "a number of seconds is expected, or a time with a unit such as '20 ms'",
+    "s",
+)
+QUANTITY: Schema = {
+    "description": "a value with a unit",
+    "anyOf": [
+        {"type": "string", "pattern": r"^\s*\S+ +\S"},
+        {"type": "object", "properties": {"value": {"type": ["number", "array"]}, "unit": {"type": "string"}}, "required": ["value", "unit"], "additionalProperties": False},
+    ],
+}  # fmt: skip
+"""A value with a unit, which `read` converts to a number. It is in the `$defs` of each schema."""
 
 TYPES: Mapping[str, type | UnionType] = {
     "string": str, "boolean": bool, "integer": int, "number": int | float, "array": list, "object": dict,
@@ -138,8 +160,13 @@ def read(
         raise fail(f"{prefix}{unknown.format(name=name)}{where}{hint}")
     values = {name: raw[name] if name in raw else copy(key.default) for name, key in keys.items()}
     for name, key in keys.items():
+        value = values[name]
+        try:
+            values[name] = in_unit(value, key.type.unit) if key.type.unit else value
+        except ValueError as error:
+            raise fail(f"{prefix}{subject}{name} is {as_written(value)}; {error}") from error
         if (name in raw or key.required) and not fits(values[name], key.type.schema):
-            message = key.type.message.format(name=name, value=values[name])
+            message = key.type.message.format(name=name, value=as_written(value))
             raise fail(f"{prefix}{subject}{message}")
     return values
 
@@ -148,8 +175,14 @@ def key_schema(key: Key) -> dict[str, Any]:
     """Return the JSON Schema of the value of a key. Links in its description become plain text."""
     described = {"description": re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", key.meaning)}
     default = {} if key.default is None else {"default": key.default}
+    return {**type_schema(key), **described, **default}
+
+
+def type_schema(key: Key) -> dict[str, Any]:
+    """Return the JSON Schema of the value of a key, without its description."""
     is_open = {"additionalProperties": True} if key.type.schema.get("type") == "object" else {}
-    return {**key.type.schema, **is_open, **key.inner, **described, **default}
+    own = {**key.type.schema, **is_open, **key.inner}
+    return {"anyOf": [own, {"$ref": "#/$defs/quantity"}]} if key.type.unit else own
 
 
 def table_schema(keys: Keys) -> dict[str, Any]:

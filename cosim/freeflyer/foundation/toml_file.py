@@ -9,12 +9,15 @@ and the dotted keys.
 
 from __future__ import annotations
 
+import datetime
 import re
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from freeflyer.foundation.bounded_file import content
+from freeflyer.foundation.errors import one_line
+from freeflyer.foundation.units import is_quantity
 
 LARGEST = 256 << 10
 """Largest allowed size of a file [bytes]. The largest shipped file has 6 kB."""
@@ -63,6 +66,31 @@ def parsed(text: str) -> dict[str, Any]:
         raise ValueError("an integer of more than 64 bits") from error
     _check(tables, 0)
     return tables
+
+
+def as_written(value: object) -> str:
+    """Return a value for a message, as it is written in TOML. At most 200 characters.
+
+    A value with a unit has the form that `--set` accepts: 20 ms. None is a missing value.
+    """
+    return one_line(_written(value), 200)
+
+
+def _written(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_written, value))}]"
+    if isinstance(value, datetime.date | datetime.time):
+        return value.isoformat()
+    if isinstance(value, dict) and value:
+        if is_quantity(value):
+            number, unit = _written(value["value"]), value["unit"]
+            return (
+                f"{number.removesuffix('.0')} {unit if isinstance(unit, str) else _written(unit)}"
+            )
+        return f"{{ {', '.join(f'{key} = {_written(item)}' for key, item in value.items())} }}"
+    return "missing" if value is None else repr(value)
 
 
 def _check(value: Any, depth: int) -> None:

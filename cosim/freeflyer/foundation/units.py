@@ -80,6 +80,43 @@ def converted(value: float, by: float) -> float:
     return float(Decimal(repr(float(value))) * Decimal(repr(float(by))))
 
 
+def quantity(text: str) -> dict[str, Any] | None:
+    """Return `value` and `unit` of a text such as "300 ms". Return None for any other text."""
+    number, _, name = text.strip().partition(" ")
+    try:
+        return {"value": float(number), "unit": name.strip()} if name else None
+    except ValueError:
+        return None
+
+
+def in_unit(value: Any, target: str) -> Any:
+    """Return a value with a unit as a number in the unit `target`, and any other value unchanged.
+
+    A value with a unit is a text such as "300 ms", or a table with the keys `value` and `unit`. The
+    value in the table is a number or a list of numbers. Raises ValueError if the unit is unknown or
+    cannot be converted, or if a number is too large.
+    """
+    if isinstance(value, str):
+        value = quantity(value) or value
+    if not (is_quantity(value) and isinstance(value["unit"], str)):
+        return value
+    many = isinstance(value["value"], list)
+    numbers = value["value"] if many else [value["value"]]
+    if not all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers):
+        return value
+    by = factor(value["unit"], target)
+    try:
+        found = [converted(number, by) for number in numbers]
+    except OverflowError as error:
+        raise ValueError("the number is too large") from error
+    return found if many else found[0]
+
+
+def is_quantity(value: object) -> bool:
+    """Return whether a value is a table with the keys `value` and `unit`."""
+    return isinstance(value, dict) and value.keys() == {"value", "unit"}
+
+
 def same(source: str | None, target: str | None) -> bool:
     """Return whether a value needs no conversion from the unit `source` to the unit `target`.
 

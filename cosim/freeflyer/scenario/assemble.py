@@ -18,7 +18,7 @@ from freeflyer.fmi.component import Component
 from freeflyer.fmi.fmu import FmuComponent
 from freeflyer.foundation import user_object
 from freeflyer.foundation.errors import ComponentError, CosimError, ScenarioError, one_line
-from freeflyer.foundation.keys import TEXT, Key, Keys, declared_by, declares, expecting, read
+from freeflyer.foundation.keys import Key, Keys, declared_by, declares, expecting, file_path, read
 from freeflyer.foundation.plugins import described, load, plugins
 from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
@@ -32,12 +32,17 @@ from freeflyer.scenario.steps import communication_steps
 
 Factory = Callable[[str, Mapping[str, Any], Path], Component]
 FMU: Keys = {
-    "fmu": Key(TEXT, "a path, or the name of a shipped FMU; default: the name of the component"),
+    "fmu": Key(
+        file_path(".fmu"),
+        "a path, or the name of a shipped FMU; default: the name of the component",
+    ),
     "fmi": Key(expecting({"enum": [2, 3]}, "2 or 3 is expected"), "FMI version", default=2),
 }
 OF_FMUS = ("fmu", "model_exchange")
 """Kinds of components that are FMUs."""
-PYTHON: Keys = {"object": Key(TEXT, '`"FILE.py:CALLABLE"` or `"MODULE:CALLABLE"`', default="")}
+PYTHON: Keys = {
+    "object": Key(file_path(".py"), '`"FILE.py:CALLABLE"` or `"MODULE:CALLABLE"`', default="")
+}
 
 
 def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:

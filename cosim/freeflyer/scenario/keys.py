@@ -23,9 +23,9 @@ Kind = Literal["position", "orientation"]
 
 FACILITY = "freeflyer_adapters.facility.settings"
 """Module that reads the table [facility]."""
-STRING = Type({"type": "string"}, "{name!r} is {value!r}; a string is expected")
-TABLE = Type({"type": "object"}, "{name!r} is {value!r}; a table is expected")
-ARRAY = Type({"type": "array"}, "{name!r} is {value!r}; an array is expected")
+STRING = Type({"type": "string"}, "{name!r} is {value}; a string is expected")
+TABLE = Type({"type": "object"}, "{name!r} is {value}; a table is expected")
+ARRAY = Type({"type": "array"}, "{name!r} is {value}; an array is expected")
 SIGNAL: Schema = {"type": "string", "pattern": r"^[^.]+\.[\s\S]"}
 """COMPONENT.VARIABLE"""
 VALUE: Schema = {"$ref": "#/$defs/value"}
@@ -39,8 +39,8 @@ def each(schema: Schema) -> Schema:
 
 # fmt: off
 INHERITANCE: Keys = {
-    "extends": Key(STRING, "the scenario to extend: its name, or a path relative to this file. Tables are merged. A connection replaces the inherited connection to the same input. Any other value replaces the inherited value"),
-    "without": Key(ARRAY, "components to remove from the extended scenario. Their connections are removed, too", inner={"items": {"type": "string"}}),
+    "extends": Key(STRING, "the scenario to extend: its name, or a path relative to this file. Tables are merged. A connection replaces the inherited connection to the same input. Any other value replaces the inherited value. An [empty table or list](#extend-a-scenario) removes inherited entries"),
+    "without": Key(ARRAY, "components to remove from the extended scenario. Everything that names them is removed, too: their devices and connections, and their entries in `limits`, `[errors]`, `[observed_energy]`, `[roles]`, `[record] signals` and `[[facility.faults]]`", inner={"items": {"type": "string"}}),
 }
 """Keys of a file that the merged scenario does not have."""
 COMPONENT_INHERITANCE: Keys = {
@@ -55,14 +55,12 @@ RECORD: Keys = {
 _KIND = "'kind' must be a name and 'parameters' a table"
 COMPONENT: Keys = {
     "kind": Key(Type({"type": "string"}, _KIND), "[kind](#kinds-of-components) of the component. Each kind has further keys", default="fmu"),
-    "step_s": Key(Type({"anyOf": [{"type": "number"}, {"type": "string", "pattern": "^="},
-                                  {"type": "object", "properties": {"value": {"type": "number"}, "unit": {"type": "string"}}, "required": ["value", "unit"]}]},
-                       "{name} is {value!r}; seconds or '=PARAMETER' are expected"),
+    "step_s": Key(expecting({"anyOf": [{"type": "number"}, {"type": "string", "pattern": "^="}]}, "seconds, a time with a unit such as '20 ms', or '=PARAMETER' is expected", "s"),
                   "communication step [s], or `\"=PARAMETER\"` to use the value of a parameter of this component"),
     "samples": Key(expecting({"type": "boolean"}, "true or false is expected"), "whether the outputs are the values at the start of a step; see [order](#order-of-evaluation)"),
     "parameters": Key(Type({"type": "object"}, _KIND), "values of the component's parameters", default={}, inner=each(VALUE)),
 }
-_BOUND = "{value!r}; a number is expected, and a maximum must be greater than zero"
+_BOUND = "{value}; a number is expected, and a maximum must be greater than zero"
 LIMIT: Keys = {
     "signal": Key(STRING, "the signal to check", required=True),
     "elements": Key(expecting({"type": "array", "items": {"type": "integer", "minimum": 1}, "minItems": 2, "maxItems": 2}, "[first, last], counted from 1, is expected"),
@@ -84,8 +82,8 @@ _OF_SEVERAL = {
     "passivity_control": "Boolean parameters that enable passivity controllers, if they are not named `manipulator_passivity_control` and `base_passivity_control`",
     "preview": "Boolean parameters that select a later reference, if they are not named `preview`",
 }
-_ONE = Type(SIGNAL, "{name} is {value!r}; COMPONENT.VARIABLE is expected")
-_SOME = Type({"anyOf": [SIGNAL, {"type": "array", "items": SIGNAL}]}, "{name} is {value!r}; a list of COMPONENT.VARIABLE is expected")
+_ONE = Type(SIGNAL, "{name} is {value}; COMPONENT.VARIABLE is expected")
+_SOME = Type({"anyOf": [SIGNAL, {"type": "array", "items": SIGNAL}]}, "{name} is {value}; a list of COMPONENT.VARIABLE is expected")
 ROLES: Keys = {
     **{role: Key(_ONE, _OF_PLANT.format(role.replace("d_e", "d-e").replace("_", " "), role)) for role in SINGLE},
     **{role: Key(_SOME, _OF_SEVERAL[role]) for role in SEVERAL},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ from freeflyer.foundation import toml_file
 from freeflyer.foundation.errors import ScenarioError, one_line
 from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
-from freeflyer.foundation.units import converted, factor
+from freeflyer.foundation.units import quantity
+from freeflyer.scenario import file_paths
 from freeflyer.scenario.inheritance import Raw
 
 Changes = Mapping[str, object] | Sequence[str]
@@ -59,8 +61,12 @@ def plain(value: object, target: str, *, texts: bool = False) -> Any:
         value = value.tolist()
     if isinstance(value, os.PathLike):
         return os.fspath(value)
-    if isinstance(value, bool | int | float):
+    if isinstance(value, bool | float) or (isinstance(value, int) and value in toml_file.INTEGERS):
         return value
+    if isinstance(value, int):
+        raise ScenarioError(
+            f"{target} is an integer of more than 64 bits; a smaller number is expected"
+        )
     if isinstance(value, list | tuple):
         return [plain(item, target, texts=texts) for item in value]
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
@@ -93,7 +99,7 @@ def assign(raw: Raw, target: str, value: Any, where: str) -> None:
         _assign_in_table(raw, where, target.split("."), value)
         return
     if value is not None and target in OF_RUN:
-        raw[target] = in_seconds(value, where) if target == "stop_s" else value
+        raw[target] = value
         return
     if value is None or not component or not parameter:
         raise ScenarioError(
@@ -111,16 +117,6 @@ def assign(raw: Raw, target: str, value: Any, where: str) -> None:
         table["step_s"] = value
     else:
         _inner(table, "parameters", where)[parameter] = value
-
-
-def in_seconds(value: Any, where: str) -> Any:
-    """Return a time with a unit in s, and any other value unchanged."""
-    if not isinstance(value, dict) or value.keys() != {"value", "unit"}:
-        return value
-    try:
-        return converted(value["value"], factor(value["unit"], "s"))
-    except ValueError as error:
-        raise ScenarioError(f"{where}: {error}") from error
 
 
 def _inner(table: Raw, key: str, where: str) -> Raw:
@@ -148,6 +144,8 @@ def _assign_in_table(raw: Raw, where: str, keys: Sequence[str], value: Any) -> N
     for key in keys[:-1]:
         table = _inner(table, key, where)
     table[keys[-1]] = value
+    if keys[0] == "devices" and len(keys) == 3:
+        table[keys[-1]] = file_paths.located(table, keys[-1], Path())
 
 
 def parse_value(text: str) -> Any:
@@ -157,11 +155,7 @@ def parse_value(text: str) -> Any:
     other text is returned unchanged.
     """
     try:
-        return toml_file.parsed(f"value = {text}")["value"]
+        found = toml_file.parsed(f"value = {text}")
     except ValueError:
-        pass
-    number, _, unit = text.partition(" ")
-    try:
-        return {"value": float(number), "unit": unit.strip()} if unit else text
-    except ValueError:
-        return text
+        found = {}
+    return found["value"] if found.keys() == {"value"} else quantity(text) or text

@@ -13,11 +13,12 @@ from freeflyer.fmi.component import Array, Component, Port
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
-from freeflyer.foundation.units import DIMENSIONLESS, converted, factor, same
-from freeflyer.scenario.overrides import parse_value
+from freeflyer.foundation.toml_file import as_written
+from freeflyer.foundation.units import DIMENSIONLESS, converted, factor, is_quantity, quantity, same
 from freeflyer.scenario.scenario import Scenario
 
 Values = dict[str, dict[str, Array]]
+_FINITE = "finite numbers are expected"
 
 
 def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
@@ -96,7 +97,7 @@ def _value(
     subject = f"{component}.{name}"
     if component not in components:
         raise ScenarioError(
-            f"{seen[-1] if seen else subject}: there is no component {component!r}{did_you_mean(component, components)}"
+            f"{seen[-1]} = '={subject}': there is no component {component!r}{did_you_mean(component, components)}; set another value of {seen[-1]}"
         )
     ports = components[component].ports
     if name not in ports:
@@ -118,6 +119,8 @@ def _value(
                 f"{subject}: its value refers to itself through {' -> '.join(seen)}"
             )
         other, parameter = split(value[1:])
+        if not (other and parameter):
+            raise ScenarioError(f"{subject} is {value!r}; '=COMPONENT.PARAMETER' is expected")
         given = raw.get(other, {}).get(parameter)
         if given is None and other in components and parameter in components[other].ports:
             start = components[other].ports[parameter].start
@@ -133,40 +136,44 @@ def _value(
 
 
 def _numbers(value: Any, port: Port, subject: str) -> Array:
-    scale = np.ones(port.size)
+    given, scale = value, np.ones(port.size)
+    if isinstance(value, str) and port.real:
+        value = quantity(value) or value  # "300 ms"
     if isinstance(value, dict) and port.choices:
         value = _combined(value, port, subject)
     if isinstance(value, dict) and value.keys() == {"first"}:
         return _first(value["first"], port, subject)
+    if isinstance(value, dict) and port.boolean:
+        raise ScenarioError(f"{subject} is {as_written(value)}; {_expected(port)}")
     if isinstance(value, dict):
-        unknown = [key for key in value if key not in ("value", "unit")]
-        if unknown or "value" not in value or "unit" not in value:
+        if not is_quantity(value):
             raise ScenarioError(
-                f"{subject} is {value!r}; {{ value = ..., unit = ... }} is expected"
+                f"{subject} is {as_written(value)}; {{ value = ..., unit = ... }} is expected"
             )
         scale = np.array([_factor(value["unit"], unit, subject) for unit in port.units])
         value = value["value"]
-    if isinstance(value, str) and port.real and isinstance(parse_value(value), dict):
-        return _numbers(parse_value(value), port, subject)  # "300 ms"
     if isinstance(value, str):
         if value not in port.choices:
             raise ScenarioError(
-                f"{subject} is {value!r}; {_expected(port)}{did_you_mean(value, port.choices) if port.choices else ''}"
+                f"{subject} is {as_written(value)}; {_expected(port)}{did_you_mean(value, port.choices) if port.choices else ''}"
             )
         return np.array([float(port.choices.index(value) + 1)])
     items = value if isinstance(value, list) else [value]
     for item in items:
         if isinstance(item, bool) != port.boolean or not isinstance(item, bool | int | float):
-            raise ScenarioError(f"{subject} is {value!r}; {_expected(port)}")
+            raise ScenarioError(f"{subject} is {as_written(value)}; {_expected(port)}")
         if not abs(item) <= 1e300:
-            raise ScenarioError(f"{subject} is {value!r}; finite numbers are expected")
+            raise ScenarioError(f"{subject} is {as_written(value)}; {_FINITE}")
     numbers = np.array([float(item) for item in items])
     if port.choices and not all(
         1 <= number <= len(port.choices) and number == int(number) for number in numbers
     ):
-        raise ScenarioError(f"{subject} is {value!r}; {_expected(port)}")
+        raise ScenarioError(f"{subject} is {as_written(value)}; {_expected(port)}")
     scales = scale if numbers.size == scale.size else np.full(numbers.size, scale[0])
-    return np.array([converted(number, by) for number, by in zip(numbers, scales, strict=True)])
+    found = np.array([converted(number, by) for number, by in zip(numbers, scales, strict=True)])
+    if not np.all(np.isfinite(found)):
+        raise ScenarioError(f"{subject} is {as_written(given)}; {_FINITE}")
+    return found
 
 
 def _combined(value: dict[str, Any], port: Port, subject: str) -> str:
@@ -185,16 +192,16 @@ def _combined(value: dict[str, Any], port: Port, subject: str) -> str:
             return name
         break
     raise ScenarioError(
-        f"{subject} is {value!r}; {_expected(port)}, or a table of the parts of such a name"
+        f"{subject} is {as_written(value)}; {_expected(port)}, or a table of the parts of such a name"
     )
 
 
 def _first(value: Any, port: Port, subject: str) -> Array:
     """Return the start values of the port, with the first elements replaced by `value`."""
     if not isinstance(value, list) or not 1 <= len(value) <= port.size or port.start is None:
-        count = len(value) if isinstance(value, list) else 0
+        found = f"{len(value)} values" if isinstance(value, list) else as_written(value)
         raise ScenarioError(
-            f"{subject} has {count} values in 'first'; at most {port.size} are expected, and at least one"
+            f"{subject} has {found} in 'first'; a list of 1 to {port.size} values is expected"
         )
     start = np.array(port.start, dtype=float)
     start[: len(value)] = _numbers(value, port, subject)

@@ -32,13 +32,14 @@ from freeflyer.foundation.keys import fits, read, table_schema
 from freeflyer.foundation.signal_name import component_of, split_connection
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.table import Shown, Table
+from freeflyer.foundation.toml_file import as_written
 from freeflyer.master.connection import Connection
 from freeflyer.master.divergence import Limit
 from freeflyer.master.graph import Exchange
-from freeflyer.scenario import csv_parameters, summary_file
+from freeflyer.scenario import csv_parameters, file_paths, summary_file
 from freeflyer.scenario.inheritance import Raw, merged
 from freeflyer.scenario.keys import COMPONENT, ENERGY, LIMIT, MEASURE, RECORD, ROLES, SCENARIO, Kind
-from freeflyer.scenario.overrides import Changes, apply, check_changes, in_seconds, plain
+from freeflyer.scenario.overrides import Changes, apply, check_changes, plain
 from freeflyer.scenario.signal_roles import SignalRoles
 
 SHIPPED = Path(__file__).parent.parent / "paper" / "scenarios"
@@ -269,9 +270,16 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
         return raw
     if not isinstance(parent, str):
         raise ScenarioError(
-            f"scenario {path}: 'extends' must be the name of a scenario, got {parent!r}"
+            f"scenario {path}: 'extends' must be the name of a scenario, got {as_written(parent)}"
         )
-    return merged(_read(find(parent, path.parent), (*seen, path)), raw)
+    extended = find(parent, path.parent)
+    base = _read(extended, (*seen, path))
+    if extended.parent != path.parent:
+        file_paths.locate(base, extended.parent)
+    try:
+        return merged(base, raw)
+    except ScenarioError as error:
+        raise ScenarioError(f"scenario {path}: {error}") from error
 
 
 def _parameter_tables(raw: Raw) -> list[tuple[str, Raw]]:
@@ -308,8 +316,7 @@ class _Reader:
 
         # The components are read first, because devices and roles refer to components.
         components = tuple(
-            self.component(name, table, given["components"])
-            for name, table in given["components"].items()
+            self.component(name, table) for name, table in given["components"].items()
         )
         if not components:
             raise self.fail("there are no components; at least one [components.NAME] is expected")
@@ -344,26 +351,24 @@ class _Reader:
             source=to_toml(raw),
         )
 
-    def component(self, name: str, raw: object, others: Iterable[str] = ()) -> ComponentSpec:
+    def component(self, name: str, raw: object) -> ComponentSpec:
         if not isinstance(raw, dict):
-            raise self.fail(f"components.{name} is {raw!r}; a table is expected")
+            raise self.fail(f"components.{name} is {as_written(raw)}; a table is expected")
         if not name.isidentifier():
             raise self.fail(
                 f"component {name!r}: a name of letters, digits and underscores is expected"
             )
         if "step_s" not in raw:
-            hint = did_you_mean(name, (other for other in others if other != name))
             raise self.fail(
                 f"component {name} has no step_s; its communication step in seconds is expected"
-                + (hint if hint.startswith("; did") else "")
             )
         common = {key: value for key, value in raw.items() if key in COMPONENT}
         given = read(common, COMPONENT, self.fail, subject=f"component {name}: ")
-        step = in_seconds(given["step_s"], f"scenario {self.path}: component {name}: step_s")
+        step = given["step_s"]
         return ComponentSpec(
             name=name,
             kind=given["kind"],
-            step=step if isinstance(step, str) else nanoseconds(step, f"component {name}: step_s"),
+            step=step if isinstance(step, str) else self.time(step, f"component {name}: step_s"),
             parameters=given["parameters"],
             # The factory of the kind checks the options.
             options={key: value for key, value in raw.items() if key not in COMPONENT},
@@ -376,14 +381,18 @@ class _Reader:
             raise self.fail(
                 f"devices.{name}: there is no component {name!r} to replace{did_you_mean(name, components)}"
             )
-        if not isinstance(raw, dict) or "kind" not in raw:
-            raise self.fail(f"devices.{name} is {raw!r}; a table with a 'kind' is expected")
+        if not isinstance(raw, dict):
+            raise self.fail(
+                f"devices.{name} is {as_written(raw)}; a table with a 'kind' is expected"
+            )
+        if "kind" not in raw:
+            raise self.fail(f"devices.{name} has no kind; the kind of the device is expected")
         return self.component(name, {"step_s": components[name]["step_s"], **raw})
 
     def connections(self, given: Raw, key: str, delayed: bool) -> Iterable[Connection]:
         for text in given[key]:
             if not isinstance(text, str):
-                raise self.fail(f"{key}: {text!r}; a string with '->' is expected")
+                raise self.fail(f"{key}: {as_written(text)}; a string with '->' is expected")
             source, arrow, targets = split_connection(text)
             ends, of_terminals = [source, *targets], arrow == "<->"
             if not arrow or not all("." in end for end in ends) or (of_terminals and len(ends) > 2):
@@ -401,12 +410,12 @@ class _Reader:
     def limit(self, raw: object) -> Limit:
         """Return a limit. The table must contain either `maximum` or `minimum`."""
         if not isinstance(raw, dict):
-            raise self.fail(f"limits: {raw!r}; a table is expected")
+            raise self.fail(f"limits: {as_written(raw)}; a table is expected")
         signal = raw.get("signal")
         one_bound = ("maximum" in raw) != ("minimum" in raw)
         if raw.keys() <= LIMIT.keys() and not (isinstance(signal, str) and one_bound):
             raise self.fail(
-                f"limits: {raw!r}; a 'signal' and either a 'maximum' or a 'minimum' are expected"
+                f"limits: {as_written(raw)}; a 'signal' and either a 'maximum' or a 'minimum' are expected"
             )
         given = read(raw, LIMIT, self.fail, subject=f"limit on {signal}: ", where=" in [[limits]]")
         if "minimum" in raw and "norm" in raw:
@@ -424,7 +433,7 @@ class _Reader:
             # Without `elements` the limit applies to all elements of the signal.
             elements=None if elements is None else (elements[0], elements[1]),
             euclidean=given["norm"] == "euclidean",
-            lasting=self.time(raw["for_s"], f"limit on {signal}: for_s") if "for_s" in raw else 0,
+            lasting=self.time(given["for_s"], f"limit on {signal}: for_s") if "for_s" in raw else 0,
         )
 
     def measure(self, name: str, given: object) -> Measure:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
-from freeflyer.foundation.errors import CosimError
-from freeflyer.foundation.keys import Keys, Schema, declared_by, table_schema
-from freeflyer.foundation.plugins import load, plugins
+from freeflyer.foundation.keys import QUANTITY, Keys, Schema, table_schema, type_schema
+from freeflyer.foundation.plugins import plugins
+from freeflyer.scenario.file_paths import keys_of_kind
 from freeflyer.scenario.keys import (
     COMPONENT,
     COMPONENT_INHERITANCE,
@@ -29,17 +28,16 @@ VALUE: Schema = {
 def document(title: str, keys: Keys, **definitions: Schema) -> dict[str, Any]:
     """Return the JSON Schema of a file with `keys`."""
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title}
-    return {**head, **table_schema(keys), "$defs": {"value": VALUE, **definitions}}
+    return {
+        **head,
+        **table_schema(keys),
+        "$defs": {"value": VALUE, "quantity": QUANTITY, **definitions},
+    }
 
 
 def of_kinds() -> dict[str, Keys | None]:
     """Return the keys of each kind of components. None: the kind may have any keys."""
-    found: dict[str, Keys | None] = {}
-    for name, point in sorted(plugins("freeflyer.components").items()):
-        found[name] = None
-        with suppress(CosimError):  # its package is not complete
-            found[name] = declared_by(load(point))
-    return found
+    return {kind: keys_of_kind(kind) for kind in sorted(plugins("freeflyer.components"))}
 
 
 def scenario_schema() -> dict[str, Any]:
@@ -74,7 +72,7 @@ def _component(kinds: Mapping[str, Keys | None]) -> Schema:
     }
 
     def closed(keys: Keys) -> Schema:
-        types = {name: {**key.type.schema, **key.inner} for name, key in keys.items()}
+        types = {name: type_schema(key) for name, key in keys.items()}
         properties = {**dict.fromkeys(common, True), **types}
         return {"properties": properties, "additionalProperties": False}
 

@@ -23,6 +23,7 @@ from freeflyer.analysis.prediction.task_coordinates import TaskCoordinates
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.clock import nanoseconds, seconds, shown
 from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.toml_file import as_written
 
 LONGEST = 0.5
 """Default of the longest scanned period [s].
@@ -183,14 +184,14 @@ def _count(longest: float | None, tick: int, period: int) -> int:
     if longest is None:
         return max(nanoseconds(LONGEST, "the longest period") // tick, period // tick, 1)
     if not isinstance(longest, int | float):
-        raise ScenarioError(f"longest is {longest!r}; a number in s is expected")
-    if not (math.isfinite(longest) and seconds(tick) <= longest):
+        raise ScenarioError(f"longest is {as_written(longest)}; a number in s is expected")
+    if not seconds(tick) <= longest:
         raise ScenarioError(
             f"--longest {longest:g}: a time of {shown(tick)} (the fast controllers' step) or more is expected"
         )
     if longest > seconds(MOST_PERIODS * tick):
         raise ScenarioError(
-            f"--longest {longest:g}: at most {shown(MOST_PERIODS * tick)} is expected, {MOST_PERIODS} steps of the fast controllers"
+            f"--longest {as_written(longest)}: at most {shown(MOST_PERIODS * tick)} is expected, {MOST_PERIODS} steps of the fast controllers"
         )
     # Round down to a multiple of T_m. The tolerance 1e-6 allows for a rounding error of `longest`.
     return int(longest / seconds(tick) + 1e-6)

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
 from typing import Any, Literal
@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.units import in_unit, is_quantity
 
 Method = Literal["latin_hypercube", "random"]
 ELEMENTS = re.compile(r"^(?P<name>[^\[\]]+)\[(?P<first>\d+)(:(?P<last>\d+))?\]$")
@@ -39,7 +40,7 @@ class Target:
         """Parse NAME, NAME[k] or NAME[first:last]. Raises ScenarioError for any other text."""
         match = ELEMENTS.match(text)
         if match is None:
-            if "[" in text or "]" in text:
+            if "[" in text or "]" in text or not text.strip():
                 raise ScenarioError(f"{text!r}: NAME, NAME[k] or NAME[first:last] is expected")
             return cls(name=text)
         first, last = int(match["first"]), int(match["last"] or match["first"])
@@ -157,6 +158,16 @@ class Axis:
     def targets(self) -> tuple[Target, ...]:
         return (self.target, *self.also)
 
+    def in_unit(self, unit: str) -> Axis:
+        """Return this axis with numbers in `unit`, if some of its values have units.
+
+        Raises ValueError if a value cannot be converted.
+        """
+        if not (isinstance(self.source, Levels) and any(map(is_quantity, self.source.values))):
+            return self
+        values = tuple(in_unit(value, unit) for value in self.source.values)
+        return replace(self, source=Levels(values=values), unit=unit)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
@@ -199,6 +210,10 @@ class OneAtATime:
     def grid(self) -> tuple[Axis, ...]:
         return self.axes
 
+    def mapped(self, change: Callable[[Axis], Axis]) -> OneAtATime:
+        """Return these designs with `change` applied to each axis."""
+        return OneAtATime(axes=tuple(map(change, self.axes)))
+
     @cached_property
     def levels(self) -> list[tuple[Any, ...]]:
         """Values of each axis."""
@@ -208,8 +223,13 @@ class OneAtATime:
     def _changes(self) -> list[tuple[int, Any]]:
         return [(place, value) for place, values in enumerate(self.levels) for value in values]
 
+    @property
+    def count(self) -> int:
+        """Number of designs."""
+        return 1 + sum(map(len, self.levels))
+
     def __len__(self) -> int:
-        return 1 + len(self._changes)
+        return self.count
 
     def __getitem__(self, number: int) -> tuple[Any, ...]:
         """Return the values of all axes in design `number` >= 0. Raises IndexError."""
@@ -235,12 +255,21 @@ class NamedDesigns:
     def axes(self) -> tuple[Axis, ...]:
         return (Axis(target=Target(name=DESIGN), source=Levels(values=tuple(self.settings))),)
 
+    def mapped(self, change: Callable[[Axis], Axis]) -> NamedDesigns:
+        """Return these designs. The values of their only axis are names."""
+        return self
+
     @property
     def levels(self) -> list[tuple[Any, ...]]:
         return []
 
-    def __len__(self) -> int:
+    @property
+    def count(self) -> int:
+        """Number of designs."""
         return len(self.settings)
+
+    def __len__(self) -> int:
+        return self.count
 
     def __getitem__(self, number: int) -> tuple[Any, ...]:
         """Return the name of design `number` >= 0. Raises IndexError."""
@@ -262,15 +291,23 @@ class Designs:
     def axes(self) -> tuple[Axis, ...]:
         return self.grid + (self.sample.axes if self.sample else ())
 
+    def mapped(self, change: Callable[[Axis], Axis]) -> Designs:
+        """Return these designs with `change` applied to each axis."""
+        sample = self.sample and replace(self.sample, axes=tuple(map(change, self.sample.axes)))
+        return Designs(grid=tuple(map(change, self.grid)), sample=sample)
+
     @property
     def levels(self) -> list[tuple[Any, ...]]:
         """Values of each grid axis."""
         return [axis.source.values for axis in self.grid if isinstance(axis.source, Levels)]
 
+    @property
+    def count(self) -> int:
+        """Number of designs. Python limits the result of `len` to 64 bits, but not this number."""
+        return math.prod(map(len, self.levels)) * (self.sample.count if self.sample else 1)
+
     def __len__(self) -> int:
-        return math.prod(len(values) for values in self.levels) * (
-            self.sample.count if self.sample else 1
-        )
+        return self.count
 
     def __getitem__(self, number: int) -> tuple[Any, ...]:
         """Return the values of all axes in design `number` >= 0. Raises IndexError."""

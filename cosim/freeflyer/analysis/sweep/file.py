@@ -31,6 +31,7 @@ from freeflyer.analysis.sweep.keys import (
     GRID_INTERVAL,
     LEVELS,
     MAP,
+    MOST_RUNS,
     SAMPLE,
     SAMPLED_INTERVAL,
     SWEEP,
@@ -42,10 +43,12 @@ from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.keys import Keys
 from freeflyer.foundation.keys import read as read_keys
 from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.toml_file import as_written
+from freeflyer.foundation.units import is_quantity
 from freeflyer.scenario import csv_parameters
 from freeflyer.scenario.inheritance import Raw
 from freeflyer.scenario.overrides import Changes, parse_value, plain
-from freeflyer.scenario.scenario import texts
+from freeflyer.scenario.scenario import literal, texts
 
 SHIPPED = Path(__file__).parents[2] / "paper" / "sweeps"
 ONE_CASE = "scenario"
@@ -163,6 +166,11 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
         raise ScenarioError(
             "the sweep varies no parameter; a [grid], a [sample], a [vary] with parameters, or [designs.NAME] is expected"
         )
+    runs = designs.count * max(len(given["cases"]), 1)
+    if runs > MOST_RUNS:
+        raise ScenarioError(
+            f"the sweep has {runs} runs; at most {MOST_RUNS} are expected, so use fewer values or cases"
+        )
     # A parameter may be set in only one place: an axis, a case, or `--set`.
     cases = {
         name: _case("cases", name, table, path.parent) for name, table in given["cases"].items()
@@ -189,7 +197,7 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
         title=path.stem if given["title"] is None else given["title"],
         path=path,
         scenario=given["scenario"],
-        settings=(*given["set"], *settings),
+        settings=(*(_located(text, path.parent) for text in given["set"]), *settings),
         cases=cases,
         designs=designs,
         map=_map(given["map"], grid) if "map" in raw else None,
@@ -197,6 +205,14 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
         if evaluation is None or not evaluation.rpartition(":")[0].endswith(".py")
         else str((path.parent / evaluation).absolute()),
     )
+
+
+def _located(text: str, folder: Path) -> str:
+    """Return a text of the key `set`. The path of a CSV file in it is relative to `folder`."""
+    target, _, value = text.partition("=")
+    parsed = parse_value(value.strip())
+    found = csv_parameters.located({target: parsed}, folder)[target]
+    return text if found == parsed else f"{target}={literal(found)}"
 
 
 def _case(kind: str, name: str, table: object, folder: Path) -> Mapping[str, Any]:
@@ -223,7 +239,7 @@ def _sample(raw: Raw) -> Sample:
     method, known = given["method"], get_args(Method)
     if method not in known:
         raise ScenarioError(
-            f"[sample] method is {method!r}; one of {', '.join(known)} is expected{did_you_mean(str(method), known)}"
+            f"[sample] method is {as_written(method)}; one of {', '.join(known)} is expected{did_you_mean(str(method), known)}"
         )
     axes = tuple(
         _axis(target, value, f"[sample.parameters] {target}", SAMPLED_INTERVAL)
@@ -247,14 +263,14 @@ def _axis(target: Target, value: Any, where: str, interval: Keys) -> Axis:
     values = given.get("values", [])
     if keys is LEVELS and (not isinstance(values, list) or not values):
         raise ScenarioError(
-            f"{where} is {value!r}; a list with at least one value is expected, or a table with such a list"
+            f"{where} is {as_written(value)}; a list with at least one value is expected, or a table with such a list"
         )
     unit, relative = given["unit"], given["relative"]
     if unit is not None and relative:
         raise ScenarioError(f"{where}: unit is {unit!r}; {UNIT}")
     if (unit is not None or relative) and not all(_is_number(item) for item in values):
         raise ScenarioError(
-            f"{where} is {values!r}; numbers are expected, because the axis has a unit or is relative"
+            f"{where} is {as_written(values)}; numbers are expected, because the axis has a unit or is relative"
         )
     return Axis(
         target=target,
@@ -290,12 +306,16 @@ def _map(raw: Raw, grid: Sequence[Axis]) -> Map:
     numeric = [
         str(axis.target)
         for axis in grid
-        if isinstance(axis.source, Levels) and all(map(_is_number, axis.source.values))
+        if isinstance(axis.source, Levels)
+        and all(
+            _is_number(value["value"] if is_quantity(value) else value)
+            for value in axis.source.values
+        )
     ]
     for key in ("x", "y"):
         if raw.get(key) not in numeric:
             raise ScenarioError(
-                f"[map] {key} is {raw.get(key)!r}; a target of the grid with numbers is expected"
+                f"[map] {key} is {as_written(raw.get(key, ''))}; a target of the grid with numbers is expected"
                 f"{did_you_mean(str(raw.get(key)), sorted(numeric))}"
             )
     if raw["x"] == raw["y"]:

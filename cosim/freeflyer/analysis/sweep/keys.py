@@ -15,11 +15,15 @@ from freeflyer.foundation.keys import (
     Schema,
     expecting,
     table_schema,
+    whole,
 )
 from freeflyer.scenario.keys import TABLE, VALUE
 from freeflyer.scenario.schema import document
 
 _TEXTS: Schema = {"type": "array", "items": {"type": "string"}}
+MOST_VALUES, MOST_RUNS = 10_000, 1_000_000
+"""Largest number of values on an axis of a grid, and largest number of runs of a sweep."""
+END = expecting({"type": "number"}, "a number is expected, and its unit in the key 'unit'")
 UNIT = "the name of a unit is expected (a relative axis must have no unit)"
 
 # fmt: off
@@ -36,14 +40,14 @@ _INTERVAL: Keys = {
     **OF_EVERY_AXIS,
 }
 GRID_INTERVAL: Keys = {
-    "first": Key(NUMBER, "first value", required=True),
-    "last": Key(NUMBER, "last value", required=True),
-    "count": Key(expecting({"type": "integer", "minimum": 2}, "at least 2 values are expected (use a list for a single value)"), "number of values, including `first` and `last`", required=True),
+    "first": Key(END, "first value", required=True),
+    "last": Key(END, "last value", required=True),
+    "count": Key(expecting({"type": "integer", "minimum": 2, "maximum": MOST_VALUES}, f"at least 2 values are expected (use a list for a single value), and at most {MOST_VALUES}"), "number of values, including `first` and `last`", required=True),
     **_INTERVAL,
 }
 SAMPLED_INTERVAL: Keys = {
-    "low": Key(NUMBER, "lower end of the interval", required=True),
-    "high": Key(NUMBER, "upper end of the interval", required=True),
+    "low": Key(END, "lower end of the interval", required=True),
+    "high": Key(END, "upper end of the interval", required=True),
     **_INTERVAL,
 }
 AXIS = {**GRID_INTERVAL, **SAMPLED_INTERVAL, **LEVELS}
@@ -78,7 +82,7 @@ def _axes(definition: str) -> Schema:
 
 SAMPLE: Keys = {
     "method": Key(ANY, "how the designs are drawn", default="latin_hypercube", inner={"enum": list(get_args(Method))}),
-    "count": Key(expecting({"type": "integer", "minimum": 1}, "a whole number of at least 1 is expected"), "number of draws", required=True),
+    "count": Key(whole(1, MOST_RUNS), "number of draws", required=True),
     "seed": Key(expecting({"type": "integer", "minimum": 0}, "a whole number of at least 0 is expected"), "the same seed gives the same designs", default=1),
     "parameters": Key(TABLE, "the axes of the sample", default={}, inner=_axes("sampled_axis")),
 }

@@ -77,7 +77,7 @@ class Plan:
     """
 
     def __init__(self, sweep: Sweep, fmi: int | None = None) -> None:
-        self.sweep, self.designs, self.axes = sweep, sweep.designs, sweep.designs.axes
+        self.sweep, self.designs = sweep, sweep.designs
         tables, path = scenario.tables(sweep.scenario, sweep.settings, sweep.path.parent)
         setup = Setup(
             tables=tables,
@@ -100,6 +100,10 @@ class Plan:
                 self._check(case)
         self.errors = [f"{name}_error_{measure.unit}" for name, measure in plain.errors.items()]
         self.energies = list(plain.observed_energy)
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        return self.designs.axes
 
     def __len__(self) -> int:
         return len(self.designs) * len(self.sweep.cases)
@@ -218,6 +222,7 @@ class Plan:
             for axis in () if isinstance(self.designs, NamedDesigns) else self.axes:
                 for target in axis.targets if case not in axis.not_in else ():
                     self._look_up(case, axis, target, plain, system)
+            self.designs = self.designs.mapped(self._in_unit_of_parameter)
             for values in self._tried():
                 changed = self.setup.scenario(case, self.assignments(case, values))
                 given = parameters.resolve(changed, system.components)
@@ -250,6 +255,15 @@ class Plan:
             )
             for value in ends:
                 yield (*first[:place], value, *first[place + 1 :])
+
+    def _in_unit_of_parameter(self, axis: Axis) -> Axis:
+        """Return an axis with numbers in the unit of its parameter, if this unit is known."""
+        unit = self.units.get(str(axis.target))
+        try:
+            return axis.in_unit(unit) if unit else axis
+        except ValueError as error:
+            expected = "a number without unit" if unit == DIMENSIONLESS else unit
+            raise ScenarioError(f"{axis.target}: {error}; {expected} is expected") from error
 
     def _look_up(
         self, case: str, axis: Axis, target: Target, plain: Scenario, system: System
@@ -290,15 +304,17 @@ class Plan:
         first, last = target.elements or (1, port.size)
         if last > port.size:
             raise ScenarioError(f"{target}: {target.name} has {port.size} elements")
-        self.units[str(target)] = "1" if axis.relative else axis.unit or port.units[first - 1] or ""
+        real = port.real and not (port.boolean or port.choices)
+        own = port.units[first - 1] or DIMENSIONLESS if real else ""
+        self.units[str(target)] = DIMENSIONLESS if axis.relative else axis.unit or own
         if not needed:
             return
-        if not port.real or port.boolean or port.choices:
+        if not real:
             raise ScenarioError(
                 f"{target} is not a real parameter; a sweep cannot vary its elements or multiply it by a factor"
             )
-        own = parameters.current(system.components, system.values, component, parameter)
-        self._own[case, target] = (own.copy(), port)
+        value = parameters.current(system.components, system.values, component, parameter)
+        self._own[case, target] = (value.copy(), port)
 
 
 def product(number: float, by: float) -> float:

@@ -16,6 +16,7 @@ from freeflyer.analysis.sweep import results as sweep_results
 from freeflyer.analysis.sweep.plan import Plan
 from freeflyer.analysis.sweep.results import Results
 from freeflyer.foundation.errors import CosimError, ScenarioError
+from freeflyer.foundation.keys import fits
 from freeflyer.foundation.table import Shown, Table
 from freeflyer.scenario.overrides import Changes
 
@@ -26,6 +27,11 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 """Function that is called with the number of finished runs, and the number of all runs."""
 Note = Callable[[str | None], None]
+WORKERS_PER_CORE, FEWEST_WORKERS = 4, 8
+"""Largest number of workers on this machine: 4 for each core, and at least 8.
+
+More workers do not compute faster, and each worker needs about 100 MB.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -118,13 +124,19 @@ def sweep(
     keys of such a file: {"scenario": "robust", "grid": {"base_controller.period": ["0.1 s", 0.3]}}.
     `changes` apply to all runs; they are those of `freeflyer.load`. Every finished run is kept in
     `directory` (default: freeflyer_out/NAME), and an unfinished sweep there is resumed. `workers`
-    is the number of worker processes on this machine (default: one for each core), `scheduler` the
-    address of a Dask scheduler (tcp://HOST:PORT). `fmi` is the FMI version of the shipped FMUs.
-    `progress` is called with the number of finished runs and the number of all runs. Raises
-    CosimError.
+    is the number of worker processes on this machine (default: one for each core; at most 4 for
+    each core, or 8). `scheduler` is the address of a Dask scheduler (tcp://HOST:PORT), `fmi` the
+    FMI version of the shipped FMUs. `progress` is called with the number of finished runs and the
+    number of all runs. Raises CosimError.
     """
-    if workers is not None and not (isinstance(workers, int) and workers >= 1):
+    cores = os.cpu_count() or 1
+    most = max(FEWEST_WORKERS, WORKERS_PER_CORE * cores)
+    if workers is not None and not fits(workers, {"type": "integer", "minimum": 1}):
         raise ScenarioError(f"--workers {workers!r}: at least one worker is expected")
+    if workers is not None and workers > most:
+        raise ScenarioError(
+            f"--workers {workers}: at most {most} workers are expected, because this machine has {cores} cores"
+        )
     if workers is not None and scheduler is not None:
         raise ScenarioError(
             "--workers starts workers on this machine, but a scheduler already has workers: give either --workers or --scheduler"
