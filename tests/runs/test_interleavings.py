@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import random
 import shutil
 import tempfile
@@ -10,7 +11,19 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
-from interleaving import START, Claimant, World, identities, job_of, prepare, recovery
+from families import family
+from interleaving import (
+    START,
+    Claimant,
+    World,
+    identities,
+    job_of,
+    job_with_link,
+    prepare,
+    recovery,
+)
+
+from freeflyer.scenario.run_directory import SUMMARY
 
 JOBS: dict[str, Callable[[Claimant], None]] = {
     "none": job_of(None),
@@ -112,3 +125,29 @@ def test_one_owner_at_a_time_with_a_change_or_death_at_every_seventh_operation(
             dies = at if at % 2 else None
             if explore(start, (one, two), switched(at, dies=dies)).claimants[0].steps < at:
                 break
+
+
+@pytest.mark.parametrize("seeds", family([range(25), range(1000, 1200)]))
+def test_the_link_leads_to_a_finished_run_while_others_replace_an_old_directory(
+    seeds: range, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worlds: list[World] = []
+    identities(monkeypatch, worlds)
+    for seed in seeds:
+        parent = tmp_path / str(seed)
+        (parent / "RUN").mkdir(parents=True)
+        (parent / "RUN" / SUMMARY).write_text('{"run": 50}')
+        world = World(parent, [job_with_link] * 3)
+        worlds.append(world)
+        world.run(at_random(seed, 0.02 if seed % 2 else 0.0))
+        link = parent / "RUN"
+        if link.is_symlink():
+            assert (link / SUMMARY).exists()
+            assert any(path.exists() for path in parent.glob("RUN.?/summary.json"))
+        else:
+            assert len(world.finished) < 3
+        # Without a death, nothing is left over.
+        numbers = {path.parent.name: json.loads(path.read_text())["run"] for path in parent.glob("*/summary.json")}  # fmt: skip
+        assert {50, *world.finished} <= set(numbers.values())
+        if seed % 2 == 0:
+            assert len(list(parent.iterdir())) == 5

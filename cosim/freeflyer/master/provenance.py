@@ -65,8 +65,20 @@ class Provenance:
                 raise ValueError(
                     f"the key {key} in its provenance has a value of a wrong type; {kind.__name__} is expected"
                 )
+        if not are_parameters(raw["parameters"]):
+            raise ValueError("the key 'parameters' in its provenance has a value that is no number, text, or list of these")  # fmt: skip
         if not all(0 < step < 1 << 63 for step in raw["steps"].values()):
             raise ValueError(
                 "the key 'steps' in its provenance has a value outside the range from 1 to 2^63 - 1"
             )
         return cls(**raw)
+
+
+def are_parameters(found: Mapping[str, Any]) -> bool:
+    """Return whether the members of a JSON value are parameters of components."""
+    return all(
+        isinstance(one, int | float | str)
+        for own in found.values()
+        for value in (own.values() if isinstance(own, dict) else [None])
+        for one in (value if isinstance(value, list) else [value])
+    )

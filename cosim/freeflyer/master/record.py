@@ -22,6 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 
 from freeflyer.fmi.component import Array
+from freeflyer.foundation import bounded_file
 from freeflyer.foundation.errors import CosimError, RecordError, UnknownSignal, one_line
 from freeflyer.foundation.extras import needed_by
 from freeflyer.foundation.output_file import write_whole
@@ -169,10 +170,20 @@ class Record:
                 Signal(**{**signal, "units": tuple(signal["units"])})
                 for signal in header["signals"]
             ]
+            first = 0
+            for signal in signals:
+                texts = all(isinstance(text, str) for text in (signal.name, *(u or "" for u in signal.units)))  # fmt: skip
+                if not texts or (signal.first, signal.size) != (first, len(signal.units)):
+                    raise ValueError("its header does not describe the signals of a run")
+                first += signal.size
+            if values.shape[1] != first or values.size > MOST_NUMBERS:
+                raise ValueError(f"it has {len(time)} rows of {values.shape[1]} numbers; {first} numbers, and at most {MOST_NUMBERS} in all, are expected")  # fmt: skip
             record = cls(signals, len(time))
             record._time[:], record._values[:] = time, values
         except (OSError, LookupError, TypeError, ValueError) as error:
             reason = getattr(error, "strerror", None) or one_line(error)
+            if isinstance(error, LookupError | TypeError):
+                reason = "its header does not describe the signals of a run"
             raise RecordError(f"{path} cannot be read as the rows of a run: {reason}") from error
         record.rows = len(time)
         return record
@@ -193,7 +204,7 @@ class Record:
 
     @classmethod
     def _read(cls, path: str | os.PathLike[str]) -> Record:
-        with parquet.ParquetFile(path) as file:
+        with bounded_file.opened(Path(path)) as opened, parquet.ParquetFile(opened) as file:
             rows, columns = file.metadata.num_rows, file.metadata.num_columns
             # Check the number of values before they are read: a small file can contain compressed
             # data that expand to any number of rows.
@@ -233,7 +244,9 @@ class Record:
 
     def write_file(self, path: Path) -> None:
         """Write a Parquet file. Raises OSError. An error leaves an incomplete file."""
-        parquet.write_table(self.to_arrow(), path, compression="zstd")
+        # Arrow accepts no path that is not valid UTF-8.
+        with path.open("wb") as file:
+            parquet.write_table(self.to_arrow(), file, compression="zstd")
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return a data frame: the column `time` [s], and a column for each element of a signal.

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from freeflyer.fmi.component import Array
+from freeflyer.foundation import bounded_file
 from freeflyer.foundation.errors import OutputError, RecordError
 
 MAGIC = b"freeflyer-rows 1"
@@ -77,7 +78,7 @@ def read(path: Path) -> tuple[Mapping[str, Any], Array, Array]:
 
     Raises RecordError if the file is damaged. Raises OSError if it cannot be read.
     """
-    with path.open("rb") as file:
+    with bounded_file.opened(path) as file:
         size = os.fstat(file.fileno()).st_size
         magic, _, length = file.readline(LINE).strip().rpartition(b" ")
         if magic != MAGIC or not length.isdigit() or not int(length) <= min(size, LARGEST_HEADER):
@@ -87,7 +88,7 @@ def read(path: Path) -> tuple[Mapping[str, Any], Array, Array]:
             header = json.loads(file.read(int(length)))
             rows, width = header["rows"], header["width"]
             start = -(-(LINE + int(length)) // PAGE) * PAGE
-            whole = isinstance(header, dict) and min(rows, width) >= 0
+            whole = type(rows) is type(width) is int and min(rows, width) >= 0
             if not whole or size != start + 8 * rows * (1 + width):
                 raise ValueError
         except (ValueError, KeyError, TypeError, RecursionError) as error:

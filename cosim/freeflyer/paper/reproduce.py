@@ -30,6 +30,8 @@ from freeflyer.scenario.experiment import Result
 from freeflyer.scenario.figure_style import STYLE, save
 from freeflyer.scenario.run_directory import RunDirectory
 
+FIGURES = ("fig[0-9][0-9]*.p[dn][fg]", "overview.p[dn][fg]", "energy_audit_*.p[dn][fg]")
+"""Patterns of the figures that `reproduce` writes."""
 ATTEMPTS = 3
 """Maximum number of attempts to run a loop in real time."""
 
@@ -49,6 +51,10 @@ def reproduce(
     scenarios = [scenario.load(name) for name in CASES]
     claimed.begin()
     directory = claimed.path
+    # With --overwrite: if this reproduction is interrupted, no figure of an earlier one stays.
+    for pattern in FIGURES:
+        for path in directory.glob(pattern):
+            path.unlink()
     results: dict[str, Result] = {}
     with experiment.progress_bar(console, scenarios) as reports:
         for case in scenarios:

@@ -408,6 +408,7 @@ class RunDirectory:
         with contextlib.suppress(OSError):
             if self._holds():
                 os.rename(self.path / UNFINISHED, self.path / DEAD)
+                (self.path / DEAD / PROCESS).unlink()  # this process lives
 
     def _replace_if_removed(self) -> None:
         """If the directory was removed or replaced during the run, claim another one."""

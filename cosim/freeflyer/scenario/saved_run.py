@@ -90,6 +90,8 @@ def complete(directory: Path) -> tuple[Result, RunDirectory]:
             described = json.loads(bounded_file.content(rows / DESCRIPTION, summary_file.LARGEST))
             provenance = Provenance.from_json(json.dumps(described["provenance"]))
             about = described["run"]
+            if summary_file.wrong_of_run({"record_sha256": "", **about}):
+                raise ValueError
             scenario = _scenario(directory, about)
         except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
             raise RecordError(f"run {directory} had not begun when its process ended; there is nothing to recover, remove this directory") from error  # fmt: skip

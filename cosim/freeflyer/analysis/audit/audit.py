@@ -69,6 +69,7 @@ class Audit(Shown, Ledger):
                 save(self.plot(), stage / "energy_audit.png")
                 content = {**self.summary, "record_sha256": self.record_sha256}
                 write_text(stage / "energy_audit.json", json.dumps(content, indent=2) + "\n")
+                self._check(folder)  # another run may have replaced the record meanwhile
         except OSError as error:
             failure = OutputError(f"the audit cannot be written to {folder}: {error.strerror or error}")  # fmt: skip
             failure.exit_code = BAD_INPUT
