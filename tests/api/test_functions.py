@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import freeflyer as ff
+import freeflyer_fmus
 from freeflyer.cli import main as command
 
 
@@ -90,3 +91,9 @@ def test_a_wrong_argument_is_one_sentence(call: Callable[[], object], expected: 
 def test_a_record_iterates_over_the_names_of_its_signals() -> None:
     record = ff.run("multirate_passive", {"stop_s": 0.01}).record
     assert list(record) == list(record.signals)
+
+
+def test_a_block_file_may_import_its_class_from_the_module_block() -> None:
+    from freeflyer_fmus.block import Block
+
+    assert Block is freeflyer_fmus.Block

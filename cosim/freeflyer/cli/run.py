@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import get_args
@@ -101,7 +102,7 @@ class RunCommand:
         # Find what is repeated, if anything. A directory may be a link that leads to the new run
         # afterwards.
         fmi, name = arguments.fmi, arguments.scenario
-        source = Path(name).resolve()
+        source = Path(os.path.realpath(name)) if os.path.isdir(name) else Path(name)
         compare: Callable[[Result], Sequence[str]] | None = None
         if arguments.case is not None:
             from freeflyer.analysis.sweep.repeat import run_of
