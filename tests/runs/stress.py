@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -45,9 +45,13 @@ LEFT_BY_KILL = re.compile(r"\.unfinished-.*|\.new-.*|.*\.partial|.*\.claim-.*|.*
 Command = tuple[str, ...]
 
 
-def command(draw: random.Random) -> Command:
+KINDS = {"run": 8, "shared": 4, "replaced": 3, "audit": 3, "sweep": 2}
+"""Kinds of commands, and how often they are drawn."""
+
+
+def command(draw: random.Random, kinds: Sequence[str]) -> Command:
     """Return the arguments of a random command."""
-    kind = draw.choices(["run", "shared", "replaced", "audit", "sweep"], [8, 4, 3, 3, 2])[0]
+    kind = draw.choices(kinds, [KINDS[kind] for kind in kinds])[0]
     period = ("--set", f"base_controller.period={draw.choice(PERIODS)}")
     time_ = ("--set", f"stop_s={draw.choice([0.5, 2, 200, 200])}", "--set", "record.every_s=0.02")
     if kind == "audit":
@@ -75,7 +79,9 @@ def start(folder: Path, arguments: Command) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
-def round_of(folder: Path, seed: int, processes: int, kills: int) -> tuple[Counter[str], list[str]]:
+def round_of(
+    folder: Path, seed: int, processes: int, kills: int, kinds: Sequence[str] = tuple(KINDS)
+) -> tuple[Counter[str], list[str]]:
     """Run one round. Return counts, and what is wrong."""
     draw = random.Random(seed)
     (folder / "sweep.toml").write_text(SWEEP)
@@ -85,7 +91,9 @@ def round_of(folder: Path, seed: int, processes: int, kills: int) -> tuple[Count
         earlier = ff.run(SCENARIO, {"stop_s": 1})
         for place in (None, *(OUT / name for name in SHARED)):
             earlier.save(place)
-    running = [(one, start(folder, one)) for one in (command(draw) for _ in range(processes))]
+    running = [
+        (one, start(folder, one)) for one in (command(draw, kinds) for _ in range(processes))
+    ]
     begin = time.monotonic()
     # Some processes are killed at any time, also during their start, which takes long because all
     # share the cores. The others are killed some time after they have claimed a directory.
@@ -133,7 +141,7 @@ def claims(folder: Path) -> Iterator[int]:
 def expected(error: str) -> bool:
     """Return whether a command that was rejected gives one of the documented reasons."""
     texts = ("in use", "an incomplete run", "other files than a run", "another process has claimed it", "another sweep is running",
-             "is not finished", "has no record", "does not exist", "No such file", "has the record of another run", "cannot be read", "no summary.json")  # fmt: skip
+             "is not finished", "it has an incomplete run", "has no record", "does not exist", "No such file", "has the record of another run", "cannot be read", "no summary.json")  # fmt: skip
     return len(error.splitlines()) == 1 and any(text in error for text in texts)
 
 

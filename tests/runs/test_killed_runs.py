@@ -30,7 +30,8 @@ from run_processes import (
 )
 
 import freeflyer as ff
-from freeflyer.foundation import output_file
+from freeflyer.cli import main as command
+from freeflyer.foundation import output_file, process_identity
 from freeflyer.foundation.errors import OutputError, RecordError
 from freeflyer.master.record import Record
 from freeflyer.scenario import run_directory, saved_run
@@ -55,7 +56,9 @@ setattr({target}, {attribute or name!r}, lambda *a, **k: os.kill(os.getpid(), 9)
 
 
 @pytest.mark.parametrize("engine", ["core", "python"])
-def test_all_rows_of_a_killed_run_are_recovered(engine: str, tmp_path: Path) -> None:
+def test_all_rows_of_a_killed_run_are_recovered(
+    engine: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     killed(out, "--master", engine)
     rows = rows_in(out)
@@ -64,7 +67,8 @@ def test_all_rows_of_a_killed_run_are_recovered(engine: str, tmp_path: Path) -> 
     assert names(out) == {"unfinished"}
     with pytest.raises(RecordError, match="is not finished: its process has ended"):
         ff.open_run(out)
-    code, output, error = done("recover", out)
+    code = command.call(["recover", str(out)])
+    output, error = capsys.readouterr()
     assert (code, error) == (0, "")
     assert f"kept {rows} rows" in output
     assert names(out) == WHOLE
@@ -85,15 +89,13 @@ def test_all_rows_of_a_killed_run_are_recovered(engine: str, tmp_path: Path) -> 
         ]
     ),
 )
-def test_recovery_that_is_killed_twice_is_repeated(place: str, tmp_path: Path) -> None:
+def test_recovery_that_is_killed_is_repeated(place: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
     killed(out)
     rows = rows_in(out)
-    for _ in range(2):
-        code, _, _ = done("recover", out, before=kill_in(place))
-        assert code == -signal.SIGKILL
-        assert run_directory.state(out) == "incomplete"
-    assert done("recover", out)[::2] == (0, "")
+    assert done("recover", out, before=kill_in(place))[0] == -signal.SIGKILL
+    assert run_directory.state(out) == "incomplete"
+    assert command.call(["recover", str(out)]) == 0
     assert ff.open_run(out).record.rows == rows
     assert names(out) == WHOLE
 
@@ -135,7 +137,8 @@ def test_recover_takes_incomplete_runs_that_are_newer_than_the_link_first(
         assert ff.open_run(path).record.digest == result.record.digest
 
 
-@pytest.mark.parametrize("number", family([signal.SIGHUP, signal.SIGTERM], 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
 def test_a_signal_ends_a_run_with_its_results(number: int, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with endless(out) as process:
@@ -151,12 +154,13 @@ def test_a_signal_ends_a_run_with_its_results(number: int, tmp_path: Path) -> No
 def test_a_directory_that_is_removed_during_a_run_is_replaced_and_not_mixed(
     tmp_path: Path,
 ) -> None:
+    """SIGHUP ends the run."""
     out = tmp_path / "out"
     with endless(out) as process:
         shutil.rmtree(out)
         other = ff.run(SCENARIO, SHORT, directory=out)
         before = (out / "summary.json").read_bytes()
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(signal.SIGHUP)
         output, _ = process.communicate(timeout=60)
         assert process.returncode == 3
     assert "removed or renamed during the run; the results are in" in output
@@ -291,3 +295,22 @@ def test_a_summary_that_is_written_belongs_to_the_record_beside_it(tmp_path: Pat
     assert (
         summary["run"]["record_sha256"] == Record.read(tmp_path / "out" / "record.parquet").digest
     )
+
+
+def test_the_next_run_removes_the_temporary_folders_of_a_killed_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folders of live processes, of other systems and of other programs stay."""
+    place = tmp_path / "tmp"
+    place.mkdir()
+    monkeypatch.setenv("TMPDIR", str(place))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    killed(tmp_path / "out")
+    left = names(place)
+    assert left
+    others = {"freeflyer-00000000-1-1-x", "freeflyer-can-0", process_identity.temporary_prefix() + "x"}  # fmt: skip
+    for name in others:
+        (place / name).mkdir()
+    process_identity._remove_folders_of_the_dead.cache_clear()
+    ff.run(SCENARIO, SHORT)
+    assert names(place) == others

@@ -17,7 +17,7 @@ from run_processes import SCENARIO, SHORT, WHOLE, dead, endless, incomplete, nam
 
 import freeflyer as ff
 from freeflyer.foundation.errors import OutputError
-from freeflyer.scenario import run_directory
+from freeflyer.scenario import run_directory, saved_run
 from freeflyer.scenario.run_directory import RunDirectory, state
 
 SET = ("--set", "stop_s=0.5")
@@ -233,14 +233,12 @@ def test_a_run_that_does_not_begin_leaves_everything_as_it_was(tmp_path: Path, c
 
 
 def test_directories_with_unusual_names_are_directories_of_runs(tmp_path: Path) -> None:
-    for name in ("unfinished", "summary.json", "[a]*?", "a b\n'\"", "-x", "\udcff"):
+    for name in ("unfinished", "[a]*?", "a b\n'\"", "\udcff"):
         out = tmp_path / name
         first = ff.run(SCENARIO, SHORT, directory=out)
         ff.run(SCENARIO, SHORT, directory=out)
         assert names(out) == names(tmp_path / f"{name}.1") == WHOLE
         assert ff.open_run(out).record.digest == first.record.digest
-        with pytest.raises(OutputError):
-            ff.run(SCENARIO, SHORT, directory=out / "summary.json")
 
 
 def test_a_directory_on_another_file_system(tmp_path: Path) -> None:
@@ -274,6 +272,7 @@ def test_a_process_of_another_machine_counts_as_running_and_its_number_is_not_tr
     RunDirectory.claim(out, "keep")
 
 
+@pytest.mark.slow
 def test_an_audit_stands_only_beside_its_own_record(tmp_path: Path, capsys: Any) -> None:
     one = ff.run(SCENARIO, {"stop_s": 1}, directory=tmp_path / "one")
     ff.run(SCENARIO, {"stop_s": 0.9}, directory=tmp_path / "two")
@@ -304,4 +303,19 @@ def test_an_audit_is_not_written_beside_a_record_that_has_replaced_its_own(
     monkeypatch.setattr(type(done), "plot", lambda _: None)
     with pytest.raises(OutputError, match="has the record of another run"):
         done.write(out)
+    assert names(out) == WHOLE
+
+
+def test_an_audit_is_not_written_to_an_incomplete_run_and_does_not_stay_in_a_recovered_one(
+    tmp_path: Path,
+) -> None:
+    """The run was killed after it had removed the audited record."""
+    out = tmp_path / "out"
+    done = ff.audit(ff.run(SCENARIO, {"stop_s": 1}))
+    incomplete(out)
+    with pytest.raises(OutputError, match="it has an incomplete run") as raised:
+        done.write(out)
+    assert raised.value.exit_code == 2
+    (out / "energy_audit.json").write_text("{}")  # a moment earlier
+    saved_run.complete(out)
     assert names(out) == WHOLE

@@ -13,7 +13,7 @@ import freeflyer as ff
 
 
 def test_processes_that_are_killed_leave_whole_or_incomplete_runs(tmp_path: Path) -> None:
-    counts, wrong = round_of(tmp_path, seed=1, processes=4, kills=2)
+    counts, wrong = round_of(tmp_path, 8, 4, 2, kinds=("run", "replaced"))
     assert wrong == []
     assert counts["finished"] >= 3
 

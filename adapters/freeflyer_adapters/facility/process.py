@@ -22,6 +22,7 @@ from typing import Any, Self
 from freeflyer.cli.main import main
 from freeflyer.foundation.extras import EXTRAS, require
 from freeflyer.foundation.file_name import text_of
+from freeflyer.foundation.process_identity import temporary_prefix
 from freeflyer.scenario.overrides import Changes
 from freeflyer.scenario.scenario import texts
 from freeflyer_adapters.foundation.errors import DeviceError
@@ -50,7 +51,7 @@ class VirtualFacility:
 
     def __enter__(self) -> Self:
         require("VirtualFacility", EXTRAS["hil"])
-        self._folder = TemporaryDirectory(prefix="freeflyer-facility-")
+        self._folder = TemporaryDirectory(prefix=temporary_prefix())
         command = (sys.executable, "-P", "-m", __name__, "facility", self._scenario)
         self._process = subprocess.Popen(
             [*command, *self._settings, "--out", self._folder.name],

@@ -213,11 +213,11 @@ def _directories(folder: Path) -> Iterator[Path]:
 
 def saved_run(directory: Path) -> SavedRun:
     """Return a run from its directory. A damaged run is returned with the reason."""
-    user = run_directory.owner(directory)
     if not (directory / run_directory.SUMMARY).exists():
+        user = run_directory.owner(directory)
         state: RunState = "incomplete" if user is None else "running"
         remark = user or "`freeflyer recover` completes it"
-        if not (directory / run_directory.UNFINISHED).exists():
+        if run_directory.state(directory) == "finished":
             state, remark = "failed", _reason_of_stop(directory)
         return SavedRun(directory=directory, state=state, summary=summary_file.begun(directory), remark=remark)  # fmt: skip
     try:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from freeflyer.fmi.fmu_description import describe_fmu, opened, same_file
 from freeflyer.foundation.own_fmus import OWN_TOOL
+from freeflyer.foundation.process_identity import temporary_prefix
 
 Version = tuple[Path, tuple[int, ...]]
 """The path of an FMU file, and the result of `same_file` for this file."""
@@ -52,7 +53,7 @@ def take(path: Path) -> Path:
     version = (path, same_file(path))
     folder = _kept(version) if again else None
     if folder is None:
-        folder = Path(tempfile.mkdtemp(prefix="freeflyer-", dir=_place))
+        folder = Path(tempfile.mkdtemp(prefix=temporary_prefix(), dir=_place))
         try:
             with opened(path) as archive:
                 archive.extract_all(folder)

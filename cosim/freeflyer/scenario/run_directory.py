@@ -377,6 +377,9 @@ class RunDirectory:
         """
         self._replace_if_removed()
         rows = self.rows if self.rows.exists() else None
+        for audit in self.path.glob("energy_audit.*"):  # written meanwhile, of an earlier record
+            with contextlib.suppress(OSError):
+                audit.unlink()
         try:
             for name, write in files.items():
                 write_whole(self.path / name, write, durable=True)

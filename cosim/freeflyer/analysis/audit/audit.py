@@ -77,12 +77,16 @@ class Audit(Shown, Ledger):
 
     def _check(self, folder: Path) -> None:
         """Raise OutputError if the folder belongs to another run, or to one that still runs."""
-        user = run_directory.owner(folder)
-        if user is not None:
-            raise OutputError(f"the audit cannot be written to {folder}, which is in use by {user}")
-        path = folder / run_directory.RECORD
-        if path.exists() and Record.read(path).digest != self.record_sha256:
-            raise OutputError(f"{folder} has the record of another run than the audited one; choose another directory")  # fmt: skip
+        path, reason = folder / run_directory.RECORD, None
+        if run_directory.state(folder) in ("running", "incomplete"):
+            user = run_directory.owner(folder)
+            reason = "an incomplete run" if user is None else f"a run that is in use by {user}"
+        elif path.exists() and Record.read(path).digest != self.record_sha256:
+            reason = "the record of another run than the audited one"
+        if reason:
+            failure = OutputError(f"the audit cannot be written to {folder}: it has {reason}; choose another directory")  # fmt: skip
+            failure.exit_code = BAD_INPUT
+            raise failure
 
 
 def audit(source: Result | Record | str | os.PathLike[str]) -> Audit:

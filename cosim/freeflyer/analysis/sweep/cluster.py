@@ -17,6 +17,7 @@ import dask
 from distributed import Client, LocalCluster
 
 from freeflyer.foundation.errors import ScenarioError, one_line
+from freeflyer.foundation.process_identity import temporary_prefix
 from freeflyer.scenario.metrics import versions
 
 START = 60.0
@@ -64,7 +65,7 @@ def _local(workers: int) -> Iterator[Client]:
 
     Each process has one thread. Dask also limits BLAS to one thread.
     """
-    folder = Path(tempfile.mkdtemp(prefix="freeflyer-sweep-"))
+    folder = Path(tempfile.mkdtemp(prefix=temporary_prefix()))
     cluster = client = None
     before = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
