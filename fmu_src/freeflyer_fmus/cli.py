@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
 from freeflyer.foundation.extras import require
 from freeflyer.foundation.output_file import folder
 from freeflyer_fmus.errors import RobotError
@@ -90,10 +92,21 @@ class FmusCommand:
             console.print(
                 f"{robot.name}: {robot.joint_count} free joints; dynamics agree with Pinocchio's (relative difference {check_dynamics(robot):.1e})"
             )
-        named = ", ".join(platform.fmi3 for platform in platforms) or "no platform"
-        with console.status(f"compiling for {named}"):
+        columns = (TextColumn("{task.description}", markup=False), BarColumn())
+        with Progress(
+            *columns,
+            MofNCompleteColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        ) as bar:
+            task = bar.add_task("equations", total=None)
+
+            def show(finished: int, total: int, name: str) -> None:
+                bar.update(task, completed=finished, total=total, description=name)
+
             for block, paths in exported(
-                arguments.out, robot, arguments.block, arguments.platforms
+                arguments.out, robot, arguments.block, arguments.platforms, show
             ):
                 console.print(
                     f"{block.name}: {', '.join(str(path) for path in paths.values())}",

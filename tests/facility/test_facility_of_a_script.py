@@ -18,7 +18,7 @@ SCRIPT = """
 import sys, time
 from freeflyer_adapters import VirtualFacility
 with VirtualFacility("facility", sys.argv[1:]) as facility:
-    print("ready", facility._process.pid, facility._folder.name, flush=True)
+    print("ready", facility._process.pid, facility._folder.path.parent, flush=True)
     time.sleep(60.0)
 """
 

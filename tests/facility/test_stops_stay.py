@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import socket
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Rig, activations, events, rig
+from small_disk import mounted
 
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping, Mode
 from freeflyer_adapters.can.link import Receiver, Sender, open_bus
@@ -256,20 +255,8 @@ def test_a_flood_of_frames_does_not_delay_the_stop(tmp_path: Path) -> None:
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 3 MiB."""
-    place = tmp_path / "small"
-    place.mkdir()
-    if os.getuid() != 0:
-        pytest.skip("mounting a small file system needs root")
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=3m", "freeflyer-test", str(place)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if mounted.returncode:
-        pytest.skip(f"a file system cannot be mounted here: {mounted.stderr.strip()}")
-    yield place
-    subprocess.run(["umount", "--lazy", str(place)], check=True)
+    with mounted(tmp_path / "small", "3m") as place:
+        yield place
 
 
 @pytest.mark.slow

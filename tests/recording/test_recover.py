@@ -327,7 +327,7 @@ def test_the_command_reports_the_kept_messages_and_rejects_invalid_arguments(
     code, error = run_command(
         capsys, "recover", str(cut), "--out", str(tmp_path / "file" / "out.mcap")
     )
-    assert code == 3
+    assert code == 2
     assert "cannot be written" in error
 
 

@@ -31,7 +31,7 @@ from run_processes import (
 
 import freeflyer as ff
 from freeflyer.cli import main as command
-from freeflyer.foundation import output_file, process_identity
+from freeflyer.foundation import output_file
 from freeflyer.foundation.errors import OutputError, RecordError
 from freeflyer.master.record import Record
 from freeflyer.scenario import run_directory, saved_run
@@ -295,22 +295,3 @@ def test_a_summary_that_is_written_belongs_to_the_record_beside_it(tmp_path: Pat
     assert (
         summary["run"]["record_sha256"] == Record.read(tmp_path / "out" / "record.parquet").digest
     )
-
-
-def test_the_next_run_removes_the_temporary_folders_of_a_killed_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The folders of live processes, of other systems and of other programs stay."""
-    place = tmp_path / "tmp"
-    place.mkdir()
-    monkeypatch.setenv("TMPDIR", str(place))
-    monkeypatch.setattr("tempfile.tempdir", None)
-    killed(tmp_path / "out")
-    left = names(place)
-    assert left
-    others = {"freeflyer-00000000-1-1-x", "freeflyer-can-0", process_identity.temporary_prefix() + "x"}  # fmt: skip
-    for name in others:
-        (place / name).mkdir()
-    process_identity._remove_folders_of_the_dead.cache_clear()
-    ff.run(SCENARIO, SHORT)
-    assert names(place) == others

@@ -240,8 +240,10 @@ def test_an_unreachable_scheduler_is_an_error(
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))  # no process listens on this port
         where = address.format(port=free.getsockname()[1])
-        code, _, error = MarkedSweep(tmp_path, count=2).run(capsys, "--scheduler", where)
+        refused = MarkedSweep(tmp_path, count=2)
+        code, _, error = refused.run(capsys, "--scheduler", where)
     assert code == 2
+    assert not refused.out.exists()
     assert f"the scheduler {where} does not answer" in error
     assert len(error.strip().splitlines()) == 1, error
 

@@ -14,7 +14,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from rich.console import Console
 
 from freeflyer.foundation.exit_codes import DONE
-from freeflyer.foundation.output_file import folder
+from freeflyer.foundation.output_file import check_writable, folder
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_adapters.base.certificate_authority import (
     HOSTS,
@@ -82,6 +82,7 @@ class CertificatesCommand:
             names = list(NAMES)
         # Check all arguments before a file is written.
         _check(directory, names + observers, renewed, arguments.host, arguments.days)
+        check_writable(directory)
         before = {name: _read(Identity(directory, name)) for name in renewed}
         is_new = not Identity(directory, AUTHORITY).certificate.exists()
         authority = _authority(directory, is_new)
@@ -166,10 +167,7 @@ def _authority(directory: Path, is_new: bool) -> CertificateAuthority:
         raise CertificateError(
             f"{key} exists without its certificate and is not overwritten; another directory is expected"
         )
-    try:
-        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-    except OSError as error:
-        raise CertificateError(f"{directory} cannot be made: {error.strerror or error}") from error
+    directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     return CertificateAuthority.new(directory)
 
 

@@ -16,13 +16,12 @@ import sys
 import threading
 import time
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 from freeflyer.cli.main import main
 from freeflyer.foundation.extras import EXTRAS, require
 from freeflyer.foundation.file_name import text_of
-from freeflyer.foundation.process_identity import temporary_prefix
+from freeflyer.foundation.temporary_folder import TemporaryFolder
 from freeflyer.scenario.overrides import Changes
 from freeflyer.scenario.scenario import texts
 from freeflyer_adapters.foundation.errors import DeviceError
@@ -51,10 +50,10 @@ class VirtualFacility:
 
     def __enter__(self) -> Self:
         require("VirtualFacility", EXTRAS["hil"])
-        self._folder = TemporaryDirectory(prefix=temporary_prefix())
+        self._folder = TemporaryFolder()
         command = (sys.executable, "-P", "-m", __name__, "facility", self._scenario)
         self._process = subprocess.Popen(
-            [*command, *self._settings, "--out", self._folder.name],
+            [*command, *self._settings, "--out", str(self._folder.path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -100,10 +99,10 @@ class VirtualFacility:
             self._process.wait()
         assert self._process.stdin is not None
         self._process.stdin.close()
-        file = Path(self._folder.name) / "facility.json"
+        file = self._folder.path / "facility.json"
         if file.is_file():
             self.report = json.loads(file.read_text(encoding="utf-8"))
-        self._folder.cleanup()
+        self._folder.remove()
 
     def _read(self) -> None:
         assert self._process.stdout is not None
@@ -128,7 +127,7 @@ def _facility_of_a_script() -> int:
         return main()
     finally:
         if alone.is_set():
-            shutil.rmtree(sys.argv[-1], ignore_errors=True)
+            shutil.rmtree(Path(sys.argv[-1]).parent, ignore_errors=True)
 
 
 if __name__ == "__main__":

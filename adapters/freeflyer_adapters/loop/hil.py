@@ -18,7 +18,7 @@ from typing import Any
 
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.clock import seconds
-from freeflyer.foundation.errors import StepFailed, one_line
+from freeflyer.foundation.errors import CosimError, StepFailed, one_line
 from freeflyer.foundation.interrupts import interrupts, no_interrupts
 from freeflyer.foundation.signal_name import split
 from freeflyer.master.connection import Connection
@@ -303,8 +303,9 @@ def _run(
                         f"{scenario.title} (Ctrl-C: orderly stop)", observation.names
                     )
                     observation.view.show()
-                except OSError as error:
-                    show(f"no live view: {error.strerror or error}; the loop runs without it")
+                except (CosimError, OSError) as error:
+                    reason = getattr(error, "strerror", None) or error
+                    show(f"no live view: {reason}; the loop runs without it")
             if recording is not None:
                 observation.recording = RecordingClient(
                     recording, scenario, master, values, devices

@@ -13,7 +13,6 @@ import signal
 import struct
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -24,6 +23,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from freeflyer.foundation.temporary_folder import TemporaryFolder
 from freeflyer_adapters.device.device import STATE, LifeCycle
 
 SEQUENCE = struct.Struct("=Q")
@@ -43,8 +43,9 @@ class LiveValues:
         head = json.dumps({"title": title, "names": self.names, "loop": os.getpid()}).encode()
         self._values = struct.Struct(f"={len(names)}d")
         self._first = HEADER.size + len(head)
-        handle, path = tempfile.mkstemp(prefix="freeflyer-view-")
-        self.path = Path(path)
+        self._folder = TemporaryFolder()
+        self.path = self._folder.path / "values"
+        handle = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o600)
         size = self._first + SEQUENCE.size + self._values.size
         # Allocate the space now. If the disk is full, a write to mapped memory without allocated
         # space raises SIGBUS.
@@ -94,7 +95,7 @@ class LiveValues:
                 self.viewer.kill()
                 self.viewer.wait()
         self._memory.close()
-        self.path.unlink(missing_ok=True)
+        self._folder.remove()
 
 
 class LiveReader:

@@ -18,7 +18,7 @@ from mcap.records import Attachment, Metadata
 from mcap.writer import CompressionType, Writer
 
 from freeflyer.foundation.errors import CosimError, RecordError
-from freeflyer.foundation.output_file import write_whole
+from freeflyer.foundation.output_file import check_writable, write_whole
 from freeflyer_adapters.recording.damaged_blf import copy_frames, unread
 from freeflyer_adapters.recording.damaged_mcap import Damage, DamagedMcap, WholeMessage
 from freeflyer_adapters.recording.mcap_file import library
@@ -109,6 +109,7 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
                 if not stream.closed:  # python-can closes the stream
                     os.fsync(stream.fileno())
 
+        check_writable(target.parent)
         write_whole(target, write)
     return replace(found[0], path=target)
 

@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import re
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from freeflyer.foundation.errors import CosimError, report_error
 from freeflyer.foundation.exit_codes import BAD_INPUT, STOPPED
 from freeflyer.foundation.extras import needed_by
-from freeflyer.foundation.interrupts import ENDING
+from freeflyer.foundation.home import give_matplotlib_a_folder
+from freeflyer.foundation.interrupts import ENDING, end_at_signals
 from freeflyer.foundation.plugins import described, load, plugins
 
 if TYPE_CHECKING:
@@ -102,14 +104,33 @@ class Command(Protocol):
 
 def main() -> int:
     """Run the process. SIGTERM and SIGHUP end a command in the same way as Ctrl-C."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is not None and stream.isatty():
+            raw = _Terminal(stream.fileno(), "w", closefd=False)
+            buffer = io.BufferedWriter(raw)
+            setattr(sys, name, io.TextIOWrapper(buffer, stream.encoding, line_buffering=True))
     try:
-        for number in ENDING:
-            if number != signal.SIGINT and signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, _interrupt)
+        end_at_signals()
+        with suppress(CosimError):  # Matplotlib, if it is used, then warns itself
+            give_matplotlib_a_folder()
         return call(sys.argv[1:])
     except KeyboardInterrupt:
-        print("freeflyer: interrupted; the files written so far are complete", file=sys.stderr)
-        return STOPPED
+        return report_error("interrupted; the files written so far are complete", STOPPED)
+    finally:
+        for number in ENDING:  # a second signal does not interrupt the end
+            signal.signal(number, signal.SIG_IGN)
+
+
+class _Terminal(io.FileIO):
+    """A stream to a terminal. If the terminal was closed, the output is discarded."""
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+            return super().write(data)
 
 
 def call(arguments: Sequence[str]) -> int:
@@ -230,10 +251,6 @@ def _one_sentence(name: str) -> Iterator[None]:
         raise CosimError(
             f"command {name} of {plugins(GROUP)[name].value} failed: {described(error)}"
         ) from error
-
-
-def _interrupt(number: int, frame: object) -> None:
-    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

@@ -14,13 +14,15 @@ from pathlib import Path
 
 from freeflyer.fmi.fmu_description import describe_fmu, opened, same_file
 from freeflyer.foundation.own_fmus import OWN_TOOL
-from freeflyer.foundation.process_identity import temporary_prefix
+from freeflyer.foundation.temporary_folder import TemporaryFolder
 
 Version = tuple[Path, tuple[int, ...]]
 """The path of an FMU file, and the result of `same_file` for this file."""
 _free: dict[Version, list[Path]] = {}
 _of: dict[Path, Version] = {}
 """For each reusable folder that an instance uses: the version of the FMU file."""
+_temporary: dict[Path, TemporaryFolder] = {}
+"""The folders that are not in `_place`."""
 _place: Path | None = None
 """Directory in which folders are kept for later instances of the same FMU file.
 
@@ -47,13 +49,19 @@ def take(path: Path) -> Path:
     """Return a folder for one instance. The folder contains the unpacked FMU file `path`.
 
     Nothing in the FMU is executed.
-    Raises OSError if the folder cannot be written, ComponentError if the FMU is rejected.
+    Raises OSError if the folder cannot be written, ComponentError if the FMU is rejected, and
+    CosimError if there is no temporary directory.
     """
     again = _place is not None and describe_fmu(path).generationTool == OWN_TOOL
     version = (path, same_file(path))
     folder = _kept(version) if again else None
     if folder is None:
-        folder = Path(tempfile.mkdtemp(prefix=temporary_prefix(), dir=_place))
+        if _place is not None:
+            folder = Path(tempfile.mkdtemp(dir=_place))
+        else:
+            temporary = TemporaryFolder()
+            folder = temporary.path
+            _temporary[folder] = temporary
         try:
             with opened(path) as archive:
                 archive.extract_all(folder)
@@ -89,4 +97,8 @@ def give_back(folder: Path) -> None:
 def remove(folder: Path) -> None:
     """Delete a folder that must not be used again."""
     _of.pop(folder, None)
-    shutil.rmtree(folder, ignore_errors=True)
+    temporary = _temporary.pop(folder, None)
+    if temporary is not None:
+        temporary.remove()
+    else:
+        shutil.rmtree(folder, ignore_errors=True)

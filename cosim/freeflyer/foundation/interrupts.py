@@ -7,6 +7,7 @@ checks whether such a signal has arrived.
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -24,6 +25,37 @@ _noted: list[list[float]] = []
 
 The item is the list of arrival times that the outermost context returned.
 """
+_raised: list[float] = []
+"""Arrival times [s] of the signals that `end_at_signals` has converted to an exception."""
+
+
+class _Interrupted(KeyboardInterrupt):
+    """A signal has arrived.
+
+    If a plain KeyboardInterrupt leaves code that is compiled by `exec`, for example in the import
+    of a dataclass, CPython ends the process by SIGINT, although the exception is caught.
+    """
+
+
+def end_at_signals() -> None:
+    """Let the signals in `ENDING` end a command by KeyboardInterrupt, except ignored signals.
+
+    Libraries may discard this exception, for example pyarrow while it imports pandas, and Python
+    in `__del__`. Then the next `interrupts` context contains the signal.
+    """
+
+    def end(number: int, frame: object) -> None:
+        _raised.append(time.monotonic())
+        raise _Interrupted
+
+    def unraisable(found: sys.UnraisableHookArgs) -> None:
+        if not isinstance(found.exc_value, _Interrupted):
+            sys.__unraisablehook__(found)
+
+    sys.unraisablehook = unraisable
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, end)
 
 
 @contextmanager
@@ -43,10 +75,10 @@ def interrupts() -> Iterator[list[float]]:
     if _noted:
         yield _noted[0]
         return
-    seen: list[float] = []
     if threading.current_thread() is not threading.main_thread():
-        yield seen
+        yield []
         return
+    seen = list(_raised)
 
     def note(number: int, frame: object) -> None:
         seen.append(time.monotonic())

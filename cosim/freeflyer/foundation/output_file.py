@@ -25,7 +25,9 @@ def write_whole(path: Path, write: Callable[[Path], object], *, durable: bool = 
     the file cannot be written.
     """
     partial = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}.partial")
+    made: list[Path] = []
     try:
+        made += [folder for folder in path.parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
         write(partial)
         if durable:
@@ -39,6 +41,9 @@ def write_whole(path: Path, write: Callable[[Path], object], *, durable: bool = 
         # If `write` was interrupted, the temporary file still exists. It is removed here.
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
+            if not path.exists():  # no empty folders for a file that was not written
+                for folder in made:
+                    folder.rmdir()
 
 
 def _flush(path: Path) -> None:
@@ -76,21 +81,32 @@ def staged(directory: Path) -> Iterator[Path]:
 
 
 def check_writable(directory: Path) -> None:
-    """Check before a run that results can be written to a directory.
+    """Check before a run that results can be written to a directory. Nothing is left behind.
 
+    If the directory does not exist, the nearest directory above it is checked.
     Raises OutputError with exit code 2 if no file can be written to the directory.
     """
-    probe = directory / ".writable"
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"")
-        probe.unlink()
+        place = directory
+        while not _exists(place):
+            place = place.parent
+        with tempfile.TemporaryFile(dir=place, buffering=0) as file:
+            file.write(bytes(4096))  # a full disk accepts an empty file
     except OSError as error:
         failure = OutputError(
             f"output directory {directory} cannot be written: {error.strerror or error}"
         )
         failure.exit_code = BAD_INPUT
         raise failure from error
+
+
+def _exists(path: Path) -> bool:
+    """Return whether there is such a name. Raises OSError if there cannot be such a name."""
+    try:
+        path.lstat()
+    except FileNotFoundError:
+        return False
+    return True
 
 
 def folder(text: str) -> Path:

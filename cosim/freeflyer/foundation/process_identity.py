@@ -7,12 +7,8 @@ it is used again after a process has ended.
 
 from __future__ import annotations
 
-import functools
-import hashlib
 import os
 import platform
-import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -36,29 +32,6 @@ def is_running(identity: Mapping[str, Any]) -> bool | None:
         pass  # a process of another user
     started = _started(pid)
     return started is None or started == identity.get("started")
-
-
-def temporary_prefix() -> str:
-    """Return the prefix of the names of temporary folders of this process.
-
-    The first call removes such folders of processes that were killed.
-    """
-    _remove_folders_of_the_dead()
-    return f"{_prefix()}{os.getpid()}-{_started(os.getpid())}-"
-
-
-def _prefix() -> str:
-    """Return the prefix that systems with other numbers of processes do not have."""
-    return f"freeflyer-{hashlib.sha256(_host().encode()).hexdigest()[:8]}-"
-
-
-@functools.cache
-def _remove_folders_of_the_dead() -> None:
-    for folder in Path(tempfile.gettempdir()).glob(f"{_prefix()}*"):
-        pid, _, rest = folder.name.removeprefix(_prefix()).partition("-")
-        identity = {"host": _host(), "started": rest.partition("-")[0]}
-        if pid.isdecimal() and is_running({**identity, "pid": int(pid)}) is False:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _host() -> str:

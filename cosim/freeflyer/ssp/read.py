@@ -18,7 +18,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree
 
@@ -29,8 +28,8 @@ from freeflyer.fmi.fmu_description import describe_fmu, ports_of
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.file_name import text_of
-from freeflyer.foundation.process_identity import temporary_prefix
 from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.temporary_folder import TemporaryFolder
 from freeflyer.foundation.units import DIMENSIONLESS, same
 from freeflyer.scenario.inheritance import Raw
 from freeflyer.scenario.overrides import Changes, apply
@@ -67,8 +66,8 @@ def load_ssp(
     if step is not None and not 0.0 < step < float("inf"):
         raise ScenarioError(f"--step {step:g}: a time above zero is expected")
     file = Path(text_of(path, "the SSP file", ScenarioError))
-    unpacked = TemporaryDirectory(prefix=temporary_prefix())
-    found = read(file, Path(unpacked.name), step=step, overrides=changes)
+    unpacked = TemporaryFolder()
+    found = read(file, unpacked.path, step=step, overrides=changes)
     source = {"path": str(file.absolute()), "step": step}
     return replace(found, keeps=unpacked, ssp=source, changes=tuple(texts(changes)))
 

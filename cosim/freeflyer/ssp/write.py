@@ -26,6 +26,7 @@ from freeflyer.fmi.fmu import FmuComponent
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import ComponentError, ScenarioError
 from freeflyer.foundation.file_name import text_of
+from freeflyer.foundation.output_file import check_writable
 from freeflyer.foundation.reproducible_zip import write_zip
 from freeflyer.foundation.signal_name import split
 from freeflyer.scenario.assemble import System, loaded
@@ -55,6 +56,7 @@ def write_ssp(
     if file.suffix != ".ssp":
         raise ScenarioError(f"--out {file}: a file name that ends in .ssp is expected")
     scenario = scenario_of(scenario)
+    check_writable(file.parent)
     with loaded(scenario, fmi) as system:
         write(scenario, system, file)
     return system

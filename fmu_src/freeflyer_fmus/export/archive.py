@@ -9,19 +9,22 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
-from freeflyer.foundation.errors import OutputError
+from freeflyer.foundation.errors import CosimError, OutputError
 from freeflyer.foundation.reproducible_zip import write_zip
+from freeflyer.foundation.temporary_folder import TemporaryFolder
 from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.errors import BuildError
 from freeflyer_fmus.export import description
 from freeflyer_fmus.export.amalgamation import amalgamated
 from freeflyer_fmus.export.c_code import print_block
 from freeflyer_fmus.export.compiler import FLAGS, SOURCES, Platform, compile_library, host_platform
+
+Progress = Callable[[int, int, str], None]
+"""Function of the number of finished libraries, the number of all, and what is compiled now."""
 
 
 def content_token(block: Block) -> str:
@@ -46,20 +49,28 @@ def build_all(
     platforms: Sequence[Platform] | None = None,
     *,
     sources: bool = False,
+    progress: Progress | None = None,
 ) -> Iterator[tuple[Block, dict[int, Path]]]:
     """Write `directory/fmi2/NAME.fmu` and `directory/fmi3/NAME.fmu` of every block.
 
     The default of `platforms` is the host platform. If `sources` is True, the FMUs contain the C
     sources. Yields each block and the paths of its two FMUs; the keys of the paths are the FMI
-    versions. Compilation uses all cores. Files are written atomically. Raises BuildError if the
-    compiler fails or if the directory is not writable.
+    versions. Compilation uses all cores. Files are written atomically. `progress` is called before
+    the wait for each library. Raises BuildError if the compiler fails or if the directory is not
+    writable.
     """
     targets = [host_platform()] if platforms is None else platforms
     with _scratch() as scratch, ThreadPoolExecutor(os.cpu_count()) as pool:
         try:
-            jobs = [(block, *_submit(pool, block, Path(scratch), targets)) for block in blocks]
+            jobs = [(block, *_submit(pool, block, scratch, targets)) for block in blocks]
+            done, total = 0, len(jobs) * len(targets)
             for block, block_c, libraries in jobs:
-                binaries = {target: library.result() for target, library in libraries.items()}
+                binaries = {}
+                for target, library in libraries.items():
+                    if progress is not None:
+                        progress(done, total, f"{block.name} for {target.fmi3}")
+                    binaries[target] = library.result()
+                    done += 1
                 yield block, _write(block, directory, binaries, block_c if sources else None)
         except BaseException:
             pool.shutdown(cancel_futures=True)
@@ -132,12 +143,16 @@ def _write(
 
 
 @contextlib.contextmanager
-def _scratch() -> Iterator[str]:
+def _scratch() -> Iterator[Path]:
     """Yield a temporary directory. Raises BuildError if the file system reports an error."""
     try:
-        with tempfile.TemporaryDirectory() as scratch:
+        folder = TemporaryFolder()
+    except CosimError as error:
+        raise BuildError(str(error)) from error
+    with folder as scratch:
+        try:
             yield scratch
-    except OSError as error:
-        raise BuildError(
-            f"the temporary directory {tempfile.gettempdir()} cannot be used: {error.strerror}"
-        ) from error
+        except OSError as error:
+            raise BuildError(
+                f"the temporary directory {scratch} cannot be used: {error.strerror}"
+            ) from error

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from freeflyer.foundation.errors import CosimError
 from freeflyer.foundation.extras import require
+from freeflyer.foundation.home import cache_of_zig
 from freeflyer_fmus.errors import BuildError
 
 SOURCES = Path(__file__).parent.parent / "c"
@@ -116,7 +119,11 @@ def run(command: list[str], subject: str) -> None:
     Raises BuildError if the command fails. The message contains `subject` (what the command does)
     and the output of the compiler.
     """
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        environment = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": cache_of_zig()}
+    except CosimError as error:
+        raise BuildError(str(error)) from error
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     if done.returncode != 0:
         raise BuildError(
             f"{subject} failed (exit code {done.returncode}): {done.stderr.strip()[-2000:]}"

@@ -6,13 +6,15 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from freeflyer.foundation.errors import OutputError
 from freeflyer.foundation.file_name import text_of
+from freeflyer.foundation.output_file import check_writable
 from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.blocks.user_block import load_block
 from freeflyer_fmus.equations.pinocchio_reference import disagreement
-from freeflyer_fmus.errors import FmuSourceError, RobotError
-from freeflyer_fmus.export.archive import build_all
+from freeflyer_fmus.errors import BuildError, FmuSourceError, RobotError
+from freeflyer_fmus.export.archive import Progress, build_all
 from freeflyer_fmus.export.compiler import PLATFORMS, Platform, host_platform
 from freeflyer_fmus.robot.robot import Robot
 from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot_file, load_urdf, robot_path
@@ -98,19 +100,23 @@ def export_fmus(
     block: Block | str | os.PathLike[str] | None = None,
     *,
     platforms: str | Sequence[str] = "host",
+    progress: Progress | None = None,
 ) -> dict[str, dict[int, Path]]:
     """Build FMUs into `directory`, and return their paths: {"free_flyer": {2: ..., 3: ...}}.
 
     The keys of the inner mapping are the FMI versions. `robot` is a result of `load_robot`
     (default: the LWR 4+ with six joints). `block` is one block, or a file FILE.py with the function
     block(robot) -> Block (default: all shipped blocks). `platforms` is a list of names, or a text
-    with names separated by commas: host, all, sources, or those of docs/fmus.md. Raises
-    FmuSourceError, also if the dynamics of `robot` differ from Pinocchio's.
+    with names separated by commas: host, all, sources, or those of docs/fmus.md. `progress` is
+    called with the number of compiled libraries, the number of all libraries, and what is compiled
+    now ("free_flyer for x86_64-linux"). Raises FmuSourceError, also if the dynamics of `robot`
+    differ from Pinocchio's.
     """
     if robot is not None:
         check_dynamics(robot)
     names = platforms if isinstance(platforms, str) else ",".join(platforms)
-    return {made.name: paths for made, paths in exported(directory, robot, block, names)}
+    made = exported(directory, robot, block, names, progress)
+    return {each.name: paths for each, paths in made}
 
 
 def exported(
@@ -118,9 +124,14 @@ def exported(
     robot: Robot | None,
     block: Block | str | os.PathLike[str] | None,
     platforms: str,
+    progress: Progress | None = None,
 ) -> Iterator[tuple[Block, dict[int, Path]]]:
     """Yield each block with its paths, as soon as it is built. See `export_fmus`."""
     chosen, sources = chosen_platforms(platforms)
+    try:
+        check_writable(Path(directory))
+    except OutputError as error:
+        raise BuildError(str(error)) from error
     if isinstance(block, Block):
         blocks = [block]
     else:
@@ -128,4 +139,4 @@ def exported(
         blocks = [make(robot or load_robot()) for make in makers]
     for each in blocks:  # check every block before the first file is written
         _ = each.functions
-    yield from build_all(blocks, Path(directory), chosen, sources=sources)
+    yield from build_all(blocks, Path(directory), chosen, sources=sources, progress=progress)

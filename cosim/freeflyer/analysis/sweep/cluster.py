@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import logging
 import os
-import shutil
 import signal
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
-from pathlib import Path
 
 import dask
 from distributed import Client, LocalCluster
 
 from freeflyer.foundation.errors import ScenarioError, one_line
-from freeflyer.foundation.process_identity import temporary_prefix
+from freeflyer.foundation.interrupts import interrupts
+from freeflyer.foundation.temporary_folder import TemporaryFolder
 from freeflyer.scenario.metrics import versions
 
 START = 60.0
@@ -65,7 +63,7 @@ def _local(workers: int) -> Iterator[Client]:
 
     Each process has one thread. Dask also limits BLAS to one thread.
     """
-    folder = Path(tempfile.mkdtemp(prefix=temporary_prefix()))
+    folder = TemporaryFolder()
     cluster = client = None
     before = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
@@ -75,21 +73,27 @@ def _local(workers: int) -> Iterator[Client]:
     script.__spec__ = None
     try:
         try:
-            with _blocked_sigint():
-                cluster = LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    host="127.0.0.1",
-                    dashboard_address=None,
-                    # The scheduler's HTTP server uses any free port.
-                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-                    local_directory=str(folder),
-                    silence_logs=logging.CRITICAL,
-                    death_timeout=START,
-                )
-            client = Client(cluster, timeout=START)
-            client.wait_for_workers(workers, timeout=START)
+            with interrupts() as interrupted:  # Dask cannot close a cluster that starts
+                with _blocked_signals():
+                    cluster = LocalCluster(
+                        n_workers=workers,
+                        threads_per_worker=1,
+                        processes=True,
+                        host="127.0.0.1",
+                        dashboard_address=None,
+                        # The scheduler's HTTP server uses any free port.
+                        scheduler_kwargs={
+                            "dashboard_address": "127.0.0.1:0",
+                            "local_directory": str(folder.path),
+                        },
+                        local_directory=str(folder.path),
+                        silence_logs=logging.CRITICAL,
+                        death_timeout=START,
+                    )
+                client = Client(cluster, timeout=START)
+                client.wait_for_workers(workers, timeout=START)
+            if interrupted:
+                raise KeyboardInterrupt
         except (OSError, RuntimeError, TimeoutError) as error:
             raise ScenarioError(
                 f"{workers} workers could not be started on this machine: {one_line(error, 200).rstrip('.')}"
@@ -98,27 +102,27 @@ def _local(workers: int) -> Iterator[Client]:
     finally:
         for opened in (client, cluster):
             if opened is not None:
-                with suppress(Exception):
+                with interrupts(), suppress(Exception):
                     opened.close(timeout=10)
         os.environ.pop(SAFE_PATH, None)
         if before is not None:
             os.environ[SAFE_PATH] = before
         vars(script).update({n: value for n, value in attributes.items() if value is not None})
-        shutil.rmtree(folder, ignore_errors=True)
+        folder.remove()
 
 
 @contextmanager
-def _blocked_sigint() -> Iterator[None]:
-    """Block SIGINT for the threads and processes that are started inside this context.
+def _blocked_signals() -> Iterator[None]:
+    """Block SIGINT and SIGHUP for the threads and processes that are started inside this context.
 
-    After Ctrl-C, a terminal sends SIGINT to the command and also to the workers. The workers must
-    not react. They inherit the blocked SIGINT. If the command receives a SIGINT inside the context,
-    this SIGINT is delivered at the end of the context.
+    After Ctrl-C, a terminal sends SIGINT to the command and also to the workers. When it is closed,
+    it sends SIGHUP. The workers must not react. They inherit the blocked signals. If the command
+    receives such a signal inside the context, it is delivered at the end of the context.
     """
     # The start of the resource tracker unblocks SIGINT in the calling thread. Therefore the tracker
-    # is started before SIGINT is blocked.
+    # is started before the signals are blocked.
     resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:

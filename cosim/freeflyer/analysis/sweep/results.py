@@ -23,12 +23,12 @@ from freeflyer.analysis.sweep import stability
 from freeflyer.analysis.sweep.designs import UNCHANGED, Levels
 from freeflyer.analysis.sweep.plan import Plan
 from freeflyer.analysis.sweep.task import Row
-from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.errors import CosimError, ScenarioError
 from freeflyer.foundation.output_file import check_writable, write_text, write_whole
 from freeflyer.foundation.plugins import described
 from freeflyer.scenario import metrics, run_directory, scenario
 
-PLAN, PARTS, RESULTS = "sweep.json", "parts", "results.parquet"
+PLAN, PARTS, RESULTS, LOCK = "sweep.json", "parts", "results.parquet", ".lock"
 
 
 class Results:
@@ -48,7 +48,9 @@ class Results:
         if not (self.directory / PLAN).exists() and run_directory.is_run(self.directory):
             raise ScenarioError(f"{self.directory} is the directory of a run, or a link to it; choose another --out for the sweep")  # fmt: skip
         check_writable(self.directory)
-        with (self.directory / ".lock").open("w") as lock:
+        made = [path for path in (self.directory, *self.directory.parents) if not path.exists()]
+        self.directory.mkdir(parents=True, exist_ok=True)
+        with (self.directory / LOCK).open("w") as lock:
             try:
                 # The kernel releases the lock when the process ends, even after SIGKILL.
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -58,7 +60,16 @@ class Results:
                 ) from error
             self._check_plan()
             self.runs = set(self._finished())
-            yield
+            try:
+                yield
+            except CosimError:
+                if made and not self.runs:  # the sweep could not start
+                    for name in (PLAN, LOCK):
+                        (self.directory / name).unlink(missing_ok=True)
+                    with suppress(OSError):
+                        for path in made:
+                            path.rmdir()
+                raise
 
     def add(self, rows: Sequence[Row]) -> None:
         """Write a finished batch as one part. Raises OutputError."""
