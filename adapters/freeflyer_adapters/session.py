@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from freeflyer.foundation.errors import OutputError
 from freeflyer.foundation.table import Table
 from freeflyer.scenario.experiment import Result, claim
 from freeflyer.scenario.overrides import Changes
@@ -123,7 +124,11 @@ def run_loop(
         directory=claimed.path,
         problems=stop.problems,
     )
-    found.finish(claimed)
+    try:
+        found.finish(claimed)
+    except OutputError:
+        claimed.leave()
+        raise
     return replace(found, directory=claimed.path, lines=list(claimed.lines))
 
 

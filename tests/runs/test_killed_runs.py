@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import shutil
 import signal
@@ -36,6 +37,7 @@ from freeflyer.foundation.errors import OutputError, RecordError
 from freeflyer.master.record import Record
 from freeflyer.scenario import run_directory, saved_run
 from freeflyer.scenario.run_directory import RunDirectory
+from freeflyer_adapters import run_loop
 
 
 @pytest.fixture(autouse=True)
@@ -135,6 +137,12 @@ def test_recover_takes_incomplete_runs_that_are_newer_than_the_link_first(
     for path in newer:
         assert names(path) == WHOLE
         assert ff.open_run(path).record.digest == result.record.digest
+    # The link leads to the newest finished run, also to a completed one, but not to an older one.
+    assert os.readlink(link) == newer[1].name
+    older = first.with_name(f"{SCENARIO}-20000101-000000-00000000")
+    incomplete(older)
+    assert run_command(capsys, "recover", str(older))[0] == 0
+    assert os.readlink(link) == newer[1].name
 
 
 @pytest.mark.slow
@@ -295,3 +303,20 @@ def test_a_summary_that_is_written_belongs_to_the_record_beside_it(tmp_path: Pat
     assert (
         summary["run"]["record_sha256"] == Record.read(tmp_path / "out" / "record.parquet").digest
     )
+
+
+@pytest.mark.slow
+def test_a_run_with_devices_that_cannot_be_written_releases_its_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, quiet = tmp_path / "out", lambda _: None
+    with monkeypatch.context() as patch:
+        patch.setattr(Record, "write_file", full)
+        with pytest.raises(OutputError, match="No space left"):
+            run_loop("facility", {"stop_s": 0.1}, directory=out, virtual=True, show=quiet)
+    assert run_directory.state(out) == "incomplete"
+    assert command.call(["recover", str(out)]) == 0
+    (found,) = ff.runs(out)
+    assert (found.state, run_directory.state(out)) == ("failed", "finished")
+    run_loop("facility", {"stop_s": 0.1}, directory=out, virtual=True, show=quiet)
+    assert names(tmp_path) == {"out", "out.1"}

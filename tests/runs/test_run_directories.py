@@ -319,3 +319,16 @@ def test_an_audit_is_not_written_to_an_incomplete_run_and_does_not_stay_in_a_rec
     (out / "energy_audit.json").write_text("{}")  # a moment earlier
     saved_run.complete(out)
     assert names(out) == WHOLE
+
+
+def test_the_current_directory_is_used_if_it_is_empty_and_is_not_renamed(
+    tmp_path: Path, capsys: Any
+) -> None:
+    for _ in range(2):
+        ff.run(SCENARIO, SHORT, directory=".", existing="overwrite")
+        assert names(tmp_path) == WHOLE
+    for options in ([], ["--keep"]):
+        code, error = run_command(capsys, "run", SCENARIO, *SET, "--out", ".", *options)
+        assert code == 2
+        assert "it is the current directory and is not empty" in error
+    assert names(tmp_path) == WHOLE

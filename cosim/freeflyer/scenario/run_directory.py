@@ -19,6 +19,7 @@ import errno
 import glob
 import json
 import os
+import re
 import shutil
 import time
 import uuid
@@ -40,6 +41,8 @@ DEAD, TAKEN = f"{UNFINISHED}.dead", "taken"
 """Folder `unfinished` of a dead process, and the mark in it of the process that renames it."""
 WRITTEN = (SUMMARY, RECORD, STOP, "facility.json", "energy_audit.*", "report.html", "recording*.mcap", "flight_recording*.mcap", "can*.blf", "can*.asc")  # fmt: skip
 """Patterns of the files that runs and their audits write. `overwrite` removes no other file."""
+UNIQUE = re.compile(r"(.+)-\d{8}-\d{6}-[0-9a-f]{8}(-\d+)?", re.DOTALL)
+"""Name of a directory that `RunDirectory.unique` creates; its first group is that of the link."""
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 LARGEST_IDENTITY = 1 << 16
 ATTEMPTS = 100
@@ -69,9 +72,9 @@ def state(directory: Path) -> State:
         return "finished"
     if UNFINISHED in names:
         return "running" if owner(directory) else "incomplete"
-    if STOP in names:
-        return "finished"
-    return "incomplete" if DEAD in names else "other" if names else "empty"
+    if DEAD in names:
+        return "incomplete"
+    return "finished" if STOP in names else "other" if names else "empty"
 
 
 def _listed(directory: Path) -> list[str]:
@@ -207,6 +210,12 @@ class RunDirectory:
         if not found._took_over or (directory / SUMMARY).exists():
             found.abandon()
             raise _error(f"{directory} is not the directory of an incomplete run")
+        name = UNIQUE.fullmatch(directory.name)
+        if name is not None:
+            link = directory.with_name(name[1])
+            # The link does not return from a newer run.
+            if not os.path.lexists(link) or (link.is_symlink() and os.readlink(link) < directory.name):  # fmt: skip
+                found._link = link
         return found
 
     def __init__(
@@ -342,7 +351,7 @@ class RunDirectory:
         if error is not None and (not self._begun or isinstance(error, CosimError)):
             self.abandon()
         elif error is not None:
-            self._let_go()
+            self.leave()
 
     def _set_aside(self) -> None:
         """Rename the directory, and create it again with the folder `unfinished`."""
@@ -388,7 +397,7 @@ class RunDirectory:
         except BaseException as error:
             if rows is None:
                 raise
-            self._let_go()
+            self.leave()
             if not isinstance(error, OutputError):
                 raise
             raise OutputError(f"{error}. The rows of the record are kept in {self.path}; `freeflyer recover {self.path}` writes the results later") from error  # fmt: skip
@@ -406,7 +415,7 @@ class RunDirectory:
                     partial.unlink()
         _remove(self.path / UNFINISHED, self._token)
 
-    def _let_go(self) -> None:
+    def leave(self) -> None:
         """Leave an incomplete run, which also this process can complete now."""
         with contextlib.suppress(OSError):
             if self._holds():
