@@ -19,7 +19,8 @@ from typing import Any
 
 from freeflyer.foundation import process_identity
 from freeflyer.foundation.errors import CosimError, OutputError
-from freeflyer.scenario.run_directory import DEAD, RECORD, ROWS, SUMMARY, UNFINISHED, RunDirectory
+from freeflyer.scenario.run_directory import RunDirectory
+from freeflyer.scenario.run_state import DEAD, RECORD, ROWS, SUMMARY, UNFINISHED
 
 AUDIT = "energy_audit.json"
 EVENTS = {"open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.listdir", "os.scandir", "os.symlink"}  # fmt: skip

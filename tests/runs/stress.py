@@ -29,7 +29,7 @@ import pyarrow.parquet as parquet
 import freeflyer as ff
 from freeflyer.foundation.errors import CosimError
 from freeflyer.master.record import Record
-from freeflyer.scenario import run_directory, saved_run
+from freeflyer.scenario import run_state, saved_run
 
 SCENARIO = "multirate_passive"
 PERIODS = (0.1, 0.2, 0.3)
@@ -167,8 +167,8 @@ def check(folder: Path, counts: Counter[str]) -> Iterator[str]:
     for path in sorted(folder.iterdir()):
         if path.name == SCENARIO and path.is_symlink():
             target = os.readlink(path)
-            if not RUN.fullmatch(target) or run_directory.state(path) != "finished":
-                yield f"{path} links to {target}, which is {run_directory.state(path)}"
+            if not RUN.fullmatch(target) or run_state.state(path) != "finished":
+                yield f"{path} links to {target}, which is {run_state.state(path)}"
         elif LEFT_BY_KILL.fullmatch(path.name):
             counts["leftovers"] += 1
         elif path.name == "sweep" or (path / "sweep.json").exists():
@@ -181,7 +181,7 @@ def check(folder: Path, counts: Counter[str]) -> Iterator[str]:
 
 def check_run(path: Path, counts: Counter[str]) -> Iterator[str]:
     """Yield what is wrong in the directory of a run."""
-    state = run_directory.state(path)
+    state = run_state.state(path)
     counts[state] += 1
     files = {name for name in os.listdir(path) if not LEFT_BY_KILL.fullmatch(name)}
     if state == "running":

@@ -21,7 +21,7 @@ from run_processes import SCENARIO, SHORT, WHOLE, incomplete, names
 import freeflyer as ff
 from freeflyer.foundation.errors import CosimError
 from freeflyer.scenario import saved_run, scenario
-from freeflyer.scenario.run_directory import DEAD, DESCRIPTION, RECORD, ROWS, SUMMARY
+from freeflyer.scenario.run_state import DEAD, DESCRIPTION, RECORD, ROWS, SUMMARY
 
 SECONDS, BYTES = 5.0, 400 << 20
 """Limits for one damaged run."""

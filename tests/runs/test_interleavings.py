@@ -23,7 +23,7 @@ from interleaving import (
     recovery,
 )
 
-from freeflyer.scenario.run_directory import SUMMARY
+from freeflyer.scenario.run_state import SUMMARY
 
 JOBS: dict[str, Callable[[Claimant], None]] = {
     "none": job_of(None),

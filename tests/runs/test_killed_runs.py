@@ -35,7 +35,7 @@ from freeflyer.cli import main as command
 from freeflyer.foundation import output_file
 from freeflyer.foundation.errors import OutputError, RecordError
 from freeflyer.master.record import Record
-from freeflyer.scenario import run_directory, saved_run
+from freeflyer.scenario import run_state, saved_run
 from freeflyer.scenario.run_directory import RunDirectory
 from freeflyer_adapters import run_loop
 
@@ -96,7 +96,7 @@ def test_recovery_that_is_killed_is_repeated(place: str, tmp_path: Path) -> None
     killed(out)
     rows = rows_in(out)
     assert done("recover", out, before=kill_in(place))[0] == -signal.SIGKILL
-    assert run_directory.state(out) == "incomplete"
+    assert run_state.state(out) == "incomplete"
     assert command.call(["recover", str(out)]) == 0
     assert ff.open_run(out).record.rows == rows
     assert names(out) == WHOLE
@@ -185,7 +185,7 @@ def test_a_removed_directory_that_another_run_holds_is_not_touched(tmp_path: Pat
     shutil.rmtree(out)
     other = RunDirectory.claim(out)
     mine.abandon()
-    assert run_directory.state(out) == "running"
+    assert run_state.state(out) == "running"
     with other:
         other.begin()
         other.finish({}, {"run": "other"})
@@ -201,7 +201,7 @@ def test_after_a_full_disk_at_the_end_the_run_is_completed_later_also_in_this_pr
         with pytest.raises(OutputError, match=r"No space left.*freeflyer recover") as raised:
             ff.run(SCENARIO, SHORT, directory=out)
     assert raised.value.exit_code == 3
-    assert run_directory.state(out) == "incomplete"
+    assert run_state.state(out) == "incomplete"
     with pytest.raises(OutputError, match="incomplete run"):
         ff.run(SCENARIO, SHORT, directory=out)
     saved_run.complete(out)
@@ -314,9 +314,9 @@ def test_a_run_with_devices_that_cannot_be_written_releases_its_directory(
         patch.setattr(Record, "write_file", full)
         with pytest.raises(OutputError, match="No space left"):
             run_loop("facility", {"stop_s": 0.1}, directory=out, virtual=True, show=quiet)
-    assert run_directory.state(out) == "incomplete"
+    assert run_state.state(out) == "incomplete"
     assert command.call(["recover", str(out)]) == 0
     (found,) = ff.runs(out)
-    assert (found.state, run_directory.state(out)) == ("failed", "finished")
+    assert (found.state, run_state.state(out)) == ("failed", "finished")
     run_loop("facility", {"stop_s": 0.1}, directory=out, virtual=True, show=quiet)
     assert names(tmp_path) == {"out", "out.1"}

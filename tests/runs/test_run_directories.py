@@ -17,8 +17,9 @@ from run_processes import SCENARIO, SHORT, WHOLE, dead, endless, incomplete, nam
 
 import freeflyer as ff
 from freeflyer.foundation.errors import OutputError
-from freeflyer.scenario import run_directory, saved_run
-from freeflyer.scenario.run_directory import RunDirectory, state
+from freeflyer.scenario import run_state, saved_run
+from freeflyer.scenario.run_directory import RunDirectory
+from freeflyer.scenario.run_state import state
 
 SET = ("--set", "stop_s=0.5")
 
@@ -267,7 +268,7 @@ def test_a_process_of_another_machine_counts_as_running_and_its_number_is_not_tr
     # The number of this process, but another start time: it was used again.
     path.write_text(json.dumps({**found, "started": "1"}))
     assert state(out) == "incomplete"
-    assert run_directory.owner(out) is None
+    assert run_state.owner(out) is None
     dead(out)
     RunDirectory.claim(out, "keep")
 

@@ -11,7 +11,8 @@ from rich.progress import Progress
 from freeflyer.foundation.errors import RecordError
 from freeflyer.foundation.exit_codes import DONE
 from freeflyer.foundation.interrupts import interrupts
-from freeflyer.scenario.run_directory import RunDirectory, has_rows, newer_incomplete, state
+from freeflyer.scenario.run_directory import RunDirectory
+from freeflyer.scenario.run_state import has_rows, newer_incomplete, state
 from freeflyer.scenario.saved_run import complete
 from freeflyer_adapters.recording.recover import recover, rings_of, unfinished
 

@@ -15,10 +15,10 @@ from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.table import Shown, Table
-from freeflyer.scenario import run_directory, summary_file
+from freeflyer.scenario import run_state, summary_file
 from freeflyer.scenario.description import flat
 from freeflyer.scenario.overrides import parse_value
-from freeflyer.scenario.run_directory import OUT
+from freeflyer.scenario.run_state import OUT
 
 RunState = Literal[
     "completed", "diverged", "failed", "interrupted", "running", "incomplete", "unreadable"
@@ -201,23 +201,23 @@ def runs(
 def _directories(folder: Path) -> Iterator[Path]:
     """Yield the directories of runs in a folder, without links. A run itself is yielded."""
     try:
-        if run_directory.is_run(folder):
+        if run_state.is_run(folder):
             yield folder
             return
         with os.scandir(folder) as entries:
             paths = [folder / entry.name for entry in entries if entry.is_dir(follow_symlinks=False)]  # fmt: skip
     except OSError as error:
         raise RecordError(f"folder {folder} cannot be read: {error.strerror}; a folder with runs is expected") from error  # fmt: skip
-    yield from filter(run_directory.is_run, sorted(paths))
+    yield from filter(run_state.is_run, sorted(paths))
 
 
 def saved_run(directory: Path) -> SavedRun:
     """Return a run from its directory. A damaged run is returned with the reason."""
-    if not (directory / run_directory.SUMMARY).exists():
-        user = run_directory.owner(directory)
+    if not (directory / run_state.SUMMARY).exists():
+        user = run_state.owner(directory)
         state: RunState = "incomplete" if user is None else "running"
         remark = user or "`freeflyer recover` completes it"
-        if run_directory.state(directory) == "finished":
+        if run_state.state(directory) == "finished":
             state, remark = "failed", _reason_of_stop(directory)
         return SavedRun(directory=directory, state=state, summary=summary_file.begun(directory), remark=remark)  # fmt: skip
     try:
@@ -233,7 +233,7 @@ def saved_run(directory: Path) -> SavedRun:
 def _reason_of_stop(directory: Path) -> str:
     """Return the reason of the stop of devices, if their run has no summary.json."""
     try:
-        content = (directory / run_directory.STOP).read_text(encoding="utf-8")
+        content = (directory / run_state.STOP).read_text(encoding="utf-8")
         return str(json.loads(content)["reason"] or "the process died; its recordings are restored")
     except (OSError, ValueError, LookupError, TypeError):
         return "stop.json cannot be read"

@@ -14,7 +14,7 @@ from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.exit_codes import DONE
 from freeflyer.foundation.output_file import folder
 from freeflyer.scenario.description import changed
-from freeflyer.scenario.run_directory import OUT
+from freeflyer.scenario.run_state import OUT
 
 
 class RunsCommand:

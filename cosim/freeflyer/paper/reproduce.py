@@ -75,7 +75,7 @@ def reproduce(
     if len(results) < len(CASES) or any(result.outcome.interrupted for result in results.values()):
         claimed.finish({}, {"cases": summaries})
         console.print(
-            f"Interrupted; the cases {', '.join(results)} are saved in {directory}. No figures were drawn.",
+            f"Interrupted; the cases {', '.join(results)} are saved in {claimed.shown(directory)}. No figures were drawn.",
             soft_wrap=True,
         )
         return STOPPED
@@ -101,7 +101,7 @@ def reproduce(
     console.print(FIRMNESS, style="dim")
     console.print(ASSUMPTIONS, style="dim")
     console.print(
-        f"Report: {directory / 'report.html'}; figures, records and summary.json are in the same directory",
+        f"Report: {claimed.shown(directory / 'report.html')}; figures, records and summary.json are in the same directory",
         soft_wrap=True,
     )
     for note in claimed.notes:

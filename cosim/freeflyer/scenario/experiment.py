@@ -29,7 +29,8 @@ from freeflyer.scenario.assemble import assembled
 from freeflyer.scenario.description import described, differences
 from freeflyer.scenario.overrides import Changes
 from freeflyer.scenario.parameters import Values, current
-from freeflyer.scenario.run_directory import RECORD, Existing, RunDirectory
+from freeflyer.scenario.run_directory import Existing, RunDirectory
+from freeflyer.scenario.run_state import RECORD
 from freeflyer.scenario.scenario import Scenario, loaded
 from freeflyer.scenario.verdict import End, as_expected, end_of, sentence
 

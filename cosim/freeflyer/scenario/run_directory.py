@@ -16,10 +16,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import glob
+import hashlib
 import json
 import os
-import re
 import shutil
 import time
 import uuid
@@ -31,138 +30,36 @@ from freeflyer.foundation import process_identity
 from freeflyer.foundation.errors import CosimError, OutputError
 from freeflyer.foundation.exit_codes import BAD_INPUT
 from freeflyer.foundation.output_file import write_text, write_whole
+from freeflyer.scenario import newest_run_link
+from freeflyer.scenario.newest_run_link import free_name
+from freeflyer.scenario.run_state import (
+    ATTEMPTS,
+    DEAD,
+    DESCRIPTION,
+    OUT,
+    PROCESS,
+    RECORD,
+    ROWS,
+    STOP,
+    SUMMARY,
+    TAKEN,
+    UNFINISHED,
+    UNIQUE,
+    claim_of,
+    identity_of,
+    listed,
+    private,
+    state,
+)
 
-OUT = Path("freeflyer_out")
-"""Folder of the runs for which no directory is given."""
-SUMMARY, RECORD, STOP, UNFINISHED = "summary.json", "record.parquet", "stop.json", "unfinished"
-ROWS, PROCESS, DESCRIPTION = "record.rows", "process.json", "run.json"
-"""Files in the folder `unfinished`."""
-DEAD, TAKEN = f"{UNFINISHED}.dead", "taken"
-"""Folder `unfinished` of a dead process, and the mark in it of the process that renames it."""
-WRITTEN = (SUMMARY, RECORD, STOP, "facility.json", "energy_audit.*", "report.html", "recording*.mcap", "flight_recording*.mcap", "can*.blf", "can*.asc")  # fmt: skip
+WRITTEN = (SUMMARY, RECORD, STOP, "facility.json", "energy_audit.*", "report.html", "view.html", "recording*.mcap", "flight_recording*.mcap", "can*.blf", "can*.asc")  # fmt: skip
 """Patterns of the files that runs and their audits write. `overwrite` removes no other file."""
-UNIQUE = re.compile(r"(.+)-\d{8}-\d{6}-[0-9a-f]{8}(-\d+)?", re.DOTALL)
-"""Name of a directory that `RunDirectory.unique` creates; its first group is that of the link."""
-FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
-LARGEST_IDENTITY = 1 << 16
-ATTEMPTS = 100
-"""Largest number of attempts to claim a directory while others claim and release it."""
-
 Existing = Literal["keep", "overwrite"]
 """What happens to a directory that is not empty.
 
 "keep" renames the directory to DIR.1, or to the next free number. "overwrite" removes the files of
 the earlier run. Without either, a finished run is kept and any other content is an error.
 """
-State = Literal["missing", "empty", "finished", "running", "incomplete", "other"]
-
-
-def state(directory: Path) -> State:
-    """Return the state of a directory. Raises OSError if the directory cannot be read.
-
-    "finished": it has a summary.json, or the stop.json of devices that have not started.
-    "running", "incomplete": a run that has not finished; its process runs, or has ended. "other":
-    any other content.
-    """
-    try:
-        names = set(_listed(directory))
-    except FileNotFoundError:
-        return "missing"
-    if SUMMARY in names:
-        return "finished"
-    if UNFINISHED in names:
-        return "running" if owner(directory) else "incomplete"
-    if DEAD in names:
-        return "incomplete"
-    return "finished" if STOP in names else "other" if names else "empty"
-
-
-def _listed(directory: Path) -> list[str]:
-    """Return the names in a directory, without the folders of processes that claim it now."""
-    return [name for name in os.listdir(directory) if not name.startswith(_private(""))]
-
-
-def _private(token: str) -> str:
-    return f".{UNFINISHED}-{token}"
-
-
-def is_run(directory: Path) -> bool:
-    """Return whether a directory is one of a run: finished, running or incomplete."""
-    try:
-        return state(directory) in ("finished", "running", "incomplete")
-    except OSError:
-        return False
-
-
-def owner(directory: Path) -> str | None:
-    """Return a text about the process that has claimed a directory, or None if there is none."""
-    with contextlib.suppress(OSError), _claim(directory) as (_, user, _):
-        return user
-    return None
-
-
-@contextlib.contextmanager
-def _claim(directory: Path) -> Iterator[tuple[list[int], str | None, Path]]:
-    """Open the folder `unfinished`, and the marks in it of processes that take it.
-
-    Yields the handles of these nested folders, the process that lives, and the path of the last
-    folder. Raises OSError if there is no folder `unfinished`.
-    """
-    path, handles = directory / UNFINISHED, [os.open(directory / UNFINISHED, FOLDER)]
-    try:
-        while (user := _user(handles[-1], path)) is None and len(handles) < ATTEMPTS:
-            try:
-                handles.append(os.open(TAKEN, FOLDER, dir_fd=handles[-1]))
-            except OSError:
-                break
-            path /= TAKEN
-        yield handles, user, path
-    finally:
-        for handle in handles:
-            os.close(handle)
-
-
-def _user(handle: int, claim: Path) -> str | None:
-    """Return a text about the live process of an open claim, or None."""
-    try:
-        identity = _identity(handle)
-        running = process_identity.is_running(identity)
-    except PermissionError:
-        return "a process of another user"
-    except (OSError, ValueError, AttributeError, RecursionError):
-        return None
-    if running is None:
-        host = str(identity.get("host", "")).partition(" ")[0]
-        return f"process {identity.get('pid')} on {host or 'another machine'}, or that process has ended: remove {claim} in this case"
-    return f"process {identity['pid']}" if running else None
-
-
-def _identity(handle: int) -> Any:
-    # Without O_NONBLOCK, a FIFO without a writer would block.
-    file = os.open(PROCESS, os.O_RDONLY | os.O_NONBLOCK, dir_fd=handle)
-    try:
-        return json.loads(os.read(file, LARGEST_IDENTITY))
-    finally:
-        os.close(file)
-
-
-def newer_incomplete(link: Path) -> list[Path]:
-    """Return the incomplete runs that began after the run to which `link` links, the newest first.
-
-    If there is no `link` yet, these are all incomplete runs of its name. If `link` is a directory
-    or a file, the list is empty.
-    """
-    if os.path.lexists(link) and not link.is_symlink():
-        return []
-    newest = link.resolve().name
-    beside = sorted(link.parent.glob(f"{glob.escape(link.name)}-*"), reverse=True)
-    return [path for path in beside if path.name > newest and state(path) == "incomplete"]
-
-
-def has_rows(directory: Path) -> bool:
-    """Return whether an incomplete run has the file of the rows of its record."""
-    # A process that died while it completed the run leaves the rows in the folder DEAD.
-    return any((directory / name / ROWS).exists() for name in (UNFINISHED, DEAD))
 
 
 class RunDirectory:
@@ -182,8 +79,6 @@ class RunDirectory:
 
         `finish` makes PARENT/LABEL a link to the directory. Raises OutputError.
         """
-        import hashlib
-
         digest = hashlib.sha256(about.encode("utf-8", "surrogatepass")).hexdigest()[:8]
         name = f"{label}-{time.strftime('%Y%m%d-%H%M%S')}-{digest}"
         number = 1
@@ -210,11 +105,11 @@ class RunDirectory:
         if not found._took_over or (directory / SUMMARY).exists():
             found.abandon()
             raise _error(f"{directory} is not the directory of an incomplete run")
-        name = UNIQUE.fullmatch(directory.name)
+        name = UNIQUE.fullmatch(found.path.name)
         if name is not None:
-            link = directory.with_name(name[1])
+            link = found.path.with_name(name[1])
             # The link does not return from a newer run.
-            if not os.path.lexists(link) or (link.is_symlink() and os.readlink(link) < directory.name):  # fmt: skip
+            if not os.path.lexists(link) or (link.is_symlink() and os.readlink(link) < found.path.name):  # fmt: skip
                 found._link = link
         return found
 
@@ -226,10 +121,12 @@ class RunDirectory:
         new: bool = False,
         link: Path | None = None,
     ) -> None:
-        if path.name in ("", ".."):
-            path = Path(os.path.abspath(path))
-        self.path, self.notes = path, []
-        self._existing, self._link, self._aside = existing, link, False
+        # A component, or another thread that loads an FMU, may change the working directory.
+        self._relative_to = None if path.is_absolute() else Path.cwd()
+        path = self.path = Path(os.path.abspath(path))
+        self.notes = []
+        self._existing, self._aside = existing, False
+        self._link = None if link is None else Path(os.path.abspath(link))
         self._made: list[Path] = []
         self._took_over = self._begun = False
         self._token = uuid.uuid4().hex
@@ -243,17 +140,17 @@ class RunDirectory:
                 raise OSError(errno.EEXIST, f"it contains {text}; choose another directory, or rename it by --keep, or replace its results by --overwrite")  # fmt: skip
             self._lock(exclusive=new)
             # The content may have changed before the directory was claimed.
-            self._aside = existing != "overwrite" and _listed(path) != [UNFINISHED]
+            self._aside = existing != "overwrite" and listed(path) != [UNFINISHED]
             if self._aside and os.path.samefile(path, os.curdir):
                 raise OSError(errno.EEXIST, "it is the current directory and is not empty; choose another directory, or replace its results by --overwrite")  # fmt: skip
         except FileExistsError as error:
             self.abandon()
             if new and error.strerror == os.strerror(errno.EEXIST):
                 raise
-            raise _refused(path, error) from error
+            raise self._refused(error) from error
         except OSError as error:
             self.abandon()
-            raise _refused(path, error) from error
+            raise self._refused(error) from error
         except OutputError:
             self.abandon()
             raise
@@ -275,35 +172,35 @@ class RunDirectory:
 
     def _lock(self, *, exclusive: bool) -> None:
         """Create the directory and its folder `unfinished`, which only one process can do."""
-        private = self.path / _private(self._token)
+        own = self.path / private(self._token)
         try:
             for _ in range(ATTEMPTS):
                 self._make(self.path, exclusive=exclusive and self.path not in self._made)
                 # If another process renames or removes the directory now, try again.
                 with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-                    private.mkdir(exist_ok=True)
+                    own.mkdir(exist_ok=True)
                     identity = {**process_identity.present(), "claim": self._token}
-                    (private / PROCESS).write_text(json.dumps(identity), encoding="utf-8")
-                    if _renamed(private, self.path / UNFINISHED):
+                    (own / PROCESS).write_text(json.dumps(identity), encoding="utf-8")
+                    if _renamed(own, self.path / UNFINISHED):
                         self._took_over = (self.path / DEAD).exists()
                         return
-                    self._take(private)
-            raise _error(f"output directory {self.path} is in use by other processes; choose another directory")  # fmt: skip
+                    self._take(own)
+            raise _error(f"output directory {self.shown(self.path)} is in use by other processes; choose another directory")  # fmt: skip
         finally:
-            shutil.rmtree(private, ignore_errors=True)
+            shutil.rmtree(own, ignore_errors=True)
 
-    def _take(self, private: Path) -> None:
+    def _take(self, own: Path) -> None:
         """Rename the folder `unfinished` of a dead process. Raises OutputError if it lives.
 
         The process that puts its mark into the folder may rename it. The mark stays in the folder,
         so that no other process can rename a newer folder instead.
         """
         folder = self.path / UNFINISHED
-        with _claim(self.path) as (handles, user, _):
+        with claim_of(self.path) as (handles, user, _):
             if user is not None:
                 self._made = []
-                raise _error(f"output directory {self.path} is in use by {user}; wait until it ends, or choose another directory")  # fmt: skip
-            if not _renamed(private, Path(TAKEN), handles[-1]):
+                raise _error(f"output directory {self.shown(self.path)} is in use by {user}; wait until it ends, or choose another directory")  # fmt: skip
+            if not _renamed(own, Path(TAKEN), handles[-1]):
                 return
             if not os.path.samestat(os.fstat(handles[0]), os.stat(folder)):
                 return
@@ -316,8 +213,8 @@ class RunDirectory:
 
     def _holds(self) -> bool:
         """Return whether this object still holds the directory of this path."""
-        with contextlib.suppress(OSError, ValueError, AttributeError, RecursionError), _claim(self.path) as (handles, _, _):  # fmt: skip
-            return bool(_identity(handles[0]).get("claim") == self._token)
+        with contextlib.suppress(OSError, ValueError, AttributeError, RecursionError), claim_of(self.path) as (handles, _, _):  # fmt: skip
+            return bool(identity_of(handles[0]).get("claim") == self._token)
         return False
 
     @property
@@ -336,7 +233,7 @@ class RunDirectory:
                     for file in self.path.glob(pattern):
                         file.unlink()
         except OSError as error:
-            raise _refused(self.path, error) from error
+            raise self._refused(error) from error
         self._begun = True
 
     def describe(self, description: Mapping[str, Any]) -> None:
@@ -356,7 +253,7 @@ class RunDirectory:
     def _set_aside(self) -> None:
         """Rename the directory, and create it again with the folder `unfinished`."""
         what = "the run before" if state(self.path) == "finished" else "the earlier content"
-        aside = _free_name(self.path)
+        aside = free_name(self.path)
         try:
             os.rename(self.path, aside)  # replaces the empty folder
         except OSError:
@@ -369,11 +266,11 @@ class RunDirectory:
             os.rename(fresh, self.path)
         except OSError as error:
             shutil.rmtree(fresh)
-            raise OSError(error.errno, f"another process has claimed it; {what} is now {aside}") from error  # fmt: skip
+            raise OSError(error.errno, f"another process has claimed it; {what} is now {self.shown(aside)}") from error  # fmt: skip
         finally:
             _restore(aside)
             _sweep(aside)
-        self.notes.append(f"{what} still exists: {aside}")
+        self.notes.append(f"{what} still exists: {self.shown(aside)}")
         self._moved_to, self._made = aside, [self.path]
 
     def finish(
@@ -400,10 +297,10 @@ class RunDirectory:
             self.leave()
             if not isinstance(error, OutputError):
                 raise
-            raise OutputError(f"{error}. The rows of the record are kept in {self.path}; `freeflyer recover {self.path}` writes the results later") from error  # fmt: skip
+            raise OutputError(f"{error}. The rows of the record are kept in {self.shown(self.path)}; `freeflyer recover {self.shown(self.path)}` writes the results later") from error  # fmt: skip
         self.release()
         if self._link is not None:
-            self.notes += _link(self._link, self.path)
+            self.notes += newest_run_link.update(self._link, self.path, self.shown)
 
     def release(self) -> None:
         """Remove the folder `unfinished`: the run is complete, or nothing more can be completed."""
@@ -427,9 +324,9 @@ class RunDirectory:
         if self._holds():
             return
         lost = self.path
-        other = RunDirectory.claim(_free_name(lost), None)
+        other = RunDirectory.claim(free_name(lost), None)
         self.path, self._token = other.path, other._token
-        self.notes.append(f"{lost} was removed or renamed during the run; the results are in {self.path} instead")  # fmt: skip
+        self.notes.append(f"{self.shown(lost)} was removed or renamed during the run; the results are in {self.shown(self.path)} instead")  # fmt: skip
 
     def abandon(self) -> None:
         """Remove the directory, and restore what was there before. Use it before the first row."""
@@ -446,10 +343,22 @@ class RunDirectory:
                 _restore(self.path)
         self._made, self._moved_to, self._took_over = [], None, False
 
+    def shown(self, path: Path) -> str:
+        """Return the text of a path in a message: relative, if the user gave a relative path."""
+        return str(path if self._relative_to is None else os.path.relpath(path, self._relative_to))
+
+    def _refused(self, error: OSError) -> OutputError:
+        """Return the error with exit code 2 for a directory that cannot be used."""
+        reason = error.strerror or str(error)
+        above = next((one for one in (self.path, *self.path.parents) if os.path.lexists(one)), None)
+        if above is not None and not above.is_dir():
+            reason = f"{self.shown(above)} is not a directory"
+        return _error(f"output directory {self.shown(self.path)} cannot be used: {reason}")
+
     @property
     def lines(self) -> Iterator[str]:
         """Sentences for the user: the directory of the results, and `notes`."""
-        yield f"Results in {self.path}: {RECORD}, {SUMMARY}"
+        yield f"Results in {self.shown(self.path)}: {RECORD}, {SUMMARY}"
         yield from self.notes
 
 
@@ -469,10 +378,10 @@ def _renamed(folder: Path, target: Path, handle: int | None = None) -> bool:
 
 def _remove(folder: Path, token: str) -> None:
     """Remove a folder `unfinished`, which disappears at once."""
-    private = folder.with_name(_private(f"{token}-{time.monotonic_ns()}"))
+    hidden = folder.with_name(private(f"{token}-{time.monotonic_ns()}"))
     with contextlib.suppress(OSError):
-        os.rename(folder, private)
-        shutil.rmtree(private, ignore_errors=True)
+        os.rename(folder, hidden)
+        shutil.rmtree(hidden, ignore_errors=True)
 
 
 def _restore(directory: Path) -> None:
@@ -484,66 +393,8 @@ def _restore(directory: Path) -> None:
 
 def _sweep(directory: Path) -> None:
     """Remove the folders of processes that died while they claimed a directory."""
-    for folder in directory.glob(f"{glob.escape(_private(''))}*"):
+    for folder in directory.glob(f"{private('')}*"):
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _link(link: Path, target: Path) -> list[str]:
-    """Make `link` a relative symbolic link to the directory `target` beside it. Return notes.
-
-    A directory of an earlier version of this package, which is not a link, is renamed.
-    """
-    notes, before = [], None
-    new = link.with_name(f"{link.name}.link-{os.getpid()}-{time.monotonic_ns()}")
-    try:
-        if link.is_symlink():
-            before = link.parent / os.readlink(link)
-            if before.parent != link.parent:
-                return [f"{link} is a link to another folder, and stays as it is; therefore it is no link to the newest run"]  # fmt: skip
-        elif os.path.lexists(link):
-            if not (link / SUMMARY).is_file():
-                return [f"{link} is not a run, and stays as it is; therefore it is no link to the newest run"]  # fmt: skip
-            aside = _free_name(link)
-            try:
-                os.rename(link, aside)
-            except OSError:
-                aside.rmdir()
-                if link.is_symlink() or not link.is_dir():  # another run has renamed it
-                    return _link(link, target)
-                raise
-            notes.append(f"{link} was a directory, and is now {aside}")
-        os.symlink(target.name, new, target_is_directory=True)
-        os.rename(new, link)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            new.unlink()
-        return [*notes, f"there is no link {link} to the newest run: {error.strerror or error}"]
-    notes.append(f"{link} links to this run")
-    if before is not None and before != target and before.is_dir():
-        notes[-1] += f"; the run before still exists: {before}"
-    return notes
-
-
-def _free_name(path: Path) -> Path:
-    """Create the empty folder PATH.1, or that with the next free number."""
-    number = 1
-    while True:
-        free = path.with_name(f"{path.name}.{number}")
-        try:
-            free.mkdir()
-        except FileExistsError:
-            number += 1
-        else:
-            return free
-
-
-def _refused(path: Path, error: OSError) -> OutputError:
-    """Return the error with exit code 2 for a directory that cannot be used."""
-    reason = error.strerror or str(error)
-    above = next((one for one in (path, *path.parents) if os.path.lexists(one)), path)
-    if not above.is_dir():
-        reason = f"{above} is not a directory"
-    return _error(f"output directory {path} cannot be used: {reason}")
 
 
 def _error(text: str) -> OutputError:

@@ -15,9 +15,10 @@ from freeflyer.foundation.toml_file import parsed
 from freeflyer.master.master import Outcome
 from freeflyer.master.provenance import Provenance
 from freeflyer.master.record import Record
-from freeflyer.scenario import metrics, run_directory, summary_file
+from freeflyer.scenario import metrics, run_state, summary_file
 from freeflyer.scenario.experiment import Result, result_of
-from freeflyer.scenario.run_directory import DEAD, DESCRIPTION, RECORD, ROWS, RunDirectory
+from freeflyer.scenario.run_directory import RunDirectory
+from freeflyer.scenario.run_state import DEAD, DESCRIPTION, RECORD, ROWS
 from freeflyer.scenario.scenario import Scenario, from_tables
 
 DIED = "the process ended before the run had finished"
@@ -55,12 +56,12 @@ def open_run(folder: Path) -> Result:
 def _check_finished(folder: Path) -> None:
     """Raise RecordError if a directory is not one of a finished run."""
     try:
-        found = run_directory.state(folder)
+        found = run_state.state(folder)
     except OSError as error:
         raise RecordError(f"run {folder} cannot be read: {error.strerror}") from error
     if found in ("running", "incomplete"):
         what = (
-            f"{run_directory.owner(folder)} still writes it"
+            f"{run_state.owner(folder)} still writes it"
             if found == "running"
             else "its process has ended; `freeflyer recover` completes it"
         )

@@ -11,7 +11,7 @@ from freeflyer.foundation import bounded_file
 from freeflyer.foundation.errors import RecordError
 from freeflyer.foundation.keys import Schema, fits
 from freeflyer.master.provenance import are_parameters
-from freeflyer.scenario.run_directory import DEAD, DESCRIPTION, UNFINISHED
+from freeflyer.scenario.run_state import DEAD, DESCRIPTION, UNFINISHED
 
 FORMAT = 1
 """Number of the format. A later version of the package may have a larger number."""

@@ -16,7 +16,7 @@ from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.output_file import staged, write_text
 from freeflyer.foundation.table import Shown, Table
 from freeflyer.master.record import Record
-from freeflyer.scenario import run_directory
+from freeflyer.scenario import run_state
 from freeflyer.scenario.experiment import Result
 
 if TYPE_CHECKING:
@@ -77,9 +77,9 @@ class Audit(Shown, Ledger):
 
     def _check(self, folder: Path) -> None:
         """Raise OutputError if the folder belongs to another run, or to one that still runs."""
-        path, reason = folder / run_directory.RECORD, None
-        if run_directory.state(folder) in ("running", "incomplete"):
-            user = run_directory.owner(folder)
+        path, reason = folder / run_state.RECORD, None
+        if run_state.state(folder) in ("running", "incomplete"):
+            user = run_state.owner(folder)
             reason = "an incomplete run" if user is None else f"a run that is in use by {user}"
         elif path.exists() and Record.read(path).digest != self.record_sha256:
             reason = "the record of another run than the audited one"

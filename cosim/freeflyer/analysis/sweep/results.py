@@ -26,7 +26,7 @@ from freeflyer.analysis.sweep.task import Row
 from freeflyer.foundation.errors import CosimError, ScenarioError
 from freeflyer.foundation.output_file import check_writable, write_text, write_whole
 from freeflyer.foundation.plugins import described
-from freeflyer.scenario import metrics, run_directory, scenario
+from freeflyer.scenario import metrics, run_state, scenario
 
 PLAN, PARTS, RESULTS, LOCK = "sweep.json", "parts", "results.parquet", ".lock"
 
@@ -45,7 +45,7 @@ class Results:
 
         Raises ScenarioError if the directory is locked, or if it has results of another sweep.
         """
-        if not (self.directory / PLAN).exists() and run_directory.is_run(self.directory):
+        if not (self.directory / PLAN).exists() and run_state.is_run(self.directory):
             raise ScenarioError(f"{self.directory} is the directory of a run, or a link to it; choose another --out for the sweep")  # fmt: skip
         check_writable(self.directory)
         made = [path for path in (self.directory, *self.directory.parents) if not path.exists()]
