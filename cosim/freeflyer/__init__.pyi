@@ -28,3 +28,5 @@ from .scenario.scenario import Scenario as Scenario
 from .scenario.scenario import load as load
 from .ssp.read import load_ssp as load_ssp
 from .ssp.write import write_ssp as write_ssp
+from .viewer.view import View as View
+from .viewer.view import view as view

@@ -5,8 +5,9 @@ from .errors import BuildError as BuildError
 from .errors import FmuSourceError as FmuSourceError
 from .errors import RobotError as RobotError
 from .export.fmus import export_fmus as export_fmus
-from .export.fmus import load_robot as load_robot
 from .export.prebuilt import fmu_path as fmu_path
+from .export.scene import robot_scene as robot_scene
 from .in_process_block import InProcessBlock as InProcessBlock
 from .in_process_block import Linearisation as Linearisation
 from .robot.robot import Robot as Robot
+from .robot.urdf import load_robot as load_robot

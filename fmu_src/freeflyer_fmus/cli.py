@@ -18,9 +18,9 @@ from freeflyer_fmus.export.fmus import (
     check_dynamics,
     chosen_platforms,
     exported,
-    load_robot,
 )
-from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, shipped_robots
+from freeflyer_fmus.export.scene import scene
+from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot, shipped_robots
 
 
 class FmusCommand:
@@ -112,6 +112,8 @@ class FmusCommand:
                     f"{block.name}: {', '.join(str(path) for path in paths.values())}",
                     soft_wrap=True,
                 )
+        for note in scene(robot)["notes"]:
+            console.print(f"note: {note}", soft_wrap=True)
         return 0
 
 

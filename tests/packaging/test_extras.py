@@ -29,7 +29,7 @@ IMPORTED_AS = {
     "python-can": "can",
 }
 """Import names of distributions, if they differ from the name of the distribution."""
-BROUGHT_ALONG = {"dask": "distributed"}
+BROUGHT_ALONG = {"coal": "pinocchio", "dask": "distributed"}
 """Packages that another distribution of the same extra installs in the version that it needs."""
 USES = {
     "freeflyer": (),

@@ -86,6 +86,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "freeflyer.cli.sweep:SweepCommand",
         "run one scenario on Dask with many values of its parameters (a grid or random values); write one table",
     ),
+    "view": (
+        "freeflyer.cli.view:ViewCommand",
+        "write one HTML file that shows a run, two runs, a recording or a robot in 3D with plots",
+    ),
 }
 """Commands of this distribution: name -> (class, line in `freeflyer --help`)."""
 

@@ -15,7 +15,7 @@ from freeflyer.foundation.errors import CosimError
 DISTRIBUTION = "freeflyer-cosim"
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "analysis": ("xarray",),
-    "export": ("casadi", "pinocchio", "ziglang"),
+    "export": ("casadi", "coal", "pinocchio", "ziglang"),
     "hil": ("can", "canopen", "cantools", "cryptography", "e2e", "lz4", "mcap", "zenoh", "zstandard"),
     "sweep": ("dask", "distributed"),
 }  # fmt: skip

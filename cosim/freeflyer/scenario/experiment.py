@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from html import escape
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -85,6 +86,15 @@ class Result(Shown):
             [(run.record.time, run.errors) for run in runs],
             labels or [run.scenario.name for run in runs],
         )
+
+    def view(self, *others: Result, signals: Sequence[str] = ()) -> Any:
+        """Return a `View` of this run, or of this run beside another, in 3D with plots.
+
+        A notebook shows it; its method `write` writes it as one HTML file. `signals` are
+        patterns of further signals to plot, each in its unit. Raises CosimError.
+        """
+        # The package `view` uses this module.
+        return import_module("freeflyer.viewer.view").view(self, *others, signals=signals)
 
     def save(
         self, directory: str | os.PathLike[str] | None = None, existing: Existing | None = None

@@ -45,6 +45,7 @@ def arm_drive(robot: Robot) -> Block:
     # Model parameters. The paper gives no data of the drives. Their defaults are assumptions.
     # fmt: off
     T = block.sampled_every("period", 1e-3, "Cycle of the arm")
+    block.robot = robot
     mechanism = mass_parameters(block, robot)
     gravity, compensation = gravity_parameters(block)
     coulomb = block.parameter(

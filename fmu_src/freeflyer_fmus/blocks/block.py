@@ -23,7 +23,7 @@ from freeflyer.foundation.units import ACCELERATION as ACCELERATION
 from freeflyer.foundation.units import TWIST as TWIST
 from freeflyer.foundation.units import WRENCH as WRENCH
 from freeflyer_fmus.errors import BlockError
-from freeflyer_fmus.robot.robot import Array, constant
+from freeflyer_fmus.robot.robot import Array, Robot, constant
 from freeflyer_fmus.units import UNITS
 
 SX = ca.SX
@@ -102,7 +102,12 @@ class Block:
     Each declaration of a variable returns a symbol. The equations are expressions in these symbols.
     The block derives functions from the equations. Their arguments are (t, p, u, x). t is the time
     [s]. p is a flat vector of all parameters, u of all inputs, and x of all states.
+
+    `robot` is the robot whose motion the block computes, or None. Its FMUs then contain the scene
+    of this robot for viewers.
     """
+
+    robot: Robot | None = None
 
     def __init__(self, name: str, description: str) -> None:
         if not (name.isidentifier() and name.isascii()):

@@ -24,6 +24,7 @@ def free_flyer(robot: Robot) -> Block:
         "free_flyer", f"Free-flying robot {robot.name}: rigid base and {n} joints, no gravity"
     )
     # fmt: off
+    block.robot = robot
     mechanism = mass_parameters(block, robot)
     block.integrated_every("integration_step", 1e-3, "Longest step of the Runge-Kutta integration (order 4) inside a communication step")
     # Inputs.

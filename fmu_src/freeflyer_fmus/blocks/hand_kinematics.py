@@ -20,6 +20,7 @@ def hand_kinematics(robot: Robot) -> Block:
         "hand_kinematics",
         "End-effector pose and velocity from the measured motion of base and joints",
     )
+    block.robot = robot
     block.sampled_every("period", 1e-3, "Sampling time, equal to the cycle of the arm")
     p_b = block.input("base_position", np.zeros(3), "m", "Measured position of B in I")
     state = measured_state(block, robot)

@@ -28,6 +28,7 @@ def satellite(robot: Robot) -> Block:
         "Base dynamics in free flight, computed from the measured arm and the commanded base wrench",
     )
     # fmt: off
+    block.robot = robot
     mechanism = mass_parameters(block, robot)
     gravity, knowledge = gravity_parameters(block)
     # Inputs: commanded base wrench and measurements of arm and base robot.

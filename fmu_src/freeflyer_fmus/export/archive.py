@@ -22,6 +22,7 @@ from freeflyer_fmus.export import description
 from freeflyer_fmus.export.amalgamation import amalgamated
 from freeflyer_fmus.export.c_code import print_block
 from freeflyer_fmus.export.compiler import FLAGS, SOURCES, Platform, compile_library, host_platform
+from freeflyer_fmus.export.scene import SCENE, scene_json
 
 Progress = Callable[[int, int, str], None]
 """Function of the number of finished libraries, the number of all, and what is compiled now."""
@@ -133,6 +134,8 @@ def _write(
     grouped = description.terminals(block)
     if grouped:
         fmi3["terminalsAndIcons/terminalsAndIcons.xml"] = grouped
+    if block.robot is not None:
+        fmi2[SCENE] = fmi3[SCENE] = scene_json(block.robot)
     paths = {version: directory / f"fmi{version}" / f"{name}.fmu" for version in (2, 3)}
     try:
         write_zip(paths[2], fmi2)

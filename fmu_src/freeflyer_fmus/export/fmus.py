@@ -1,13 +1,12 @@
-"""Load a robot, and export its blocks as FMUs."""
+"""Export the blocks of a robot as FMUs."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from freeflyer.foundation.errors import OutputError
-from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.output_file import check_writable
 from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.blocks.shipped import BLOCKS
@@ -17,46 +16,12 @@ from freeflyer_fmus.errors import BuildError, FmuSourceError, RobotError
 from freeflyer_fmus.export.archive import Progress, build_all
 from freeflyer_fmus.export.compiler import PLATFORMS, Platform, host_platform
 from freeflyer_fmus.robot.robot import Robot
-from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot_file, load_urdf, robot_path
+from freeflyer_fmus.robot.urdf import load_robot
 
 SOURCES = "sources"
 """Name among the platforms that adds the C sources, for importers that compile FMUs themselves."""
 AGREEMENT = 1e-8
 """Largest accepted relative difference between the forward dynamics and Pinocchio's result."""
-
-
-def load_robot(
-    source: str | os.PathLike[str] = DEFAULT_ROBOT.stem,
-    *,
-    base_link: str | None = None,
-    end_effector: str | None = None,
-    tool_link: str | None = None,
-    lock: Mapping[str, float] | None = None,
-    posture: Mapping[str, float] | Sequence[float] | None = None,
-) -> Robot:
-    """Return a robot. `source` is the name of a shipped robot, a robot file (.toml), or a URDF.
-
-    The keywords apply to a URDF only. `base_link` (default: the root) is the floating base,
-    `end_effector` (default: the only link without children) has the frame E, and the mass and
-    inertia of `tool_link` become FMU parameters. `lock` fixes joints at positions [rad or m], and
-    `posture` has the start positions [rad or m] of the free joints. Raises RobotError.
-    """
-    path = robot_path(text_of(source, "the robot", RobotError))
-    given = [base_link, end_effector, tool_link, posture, *(lock or ())]
-    if path.suffix != ".toml":
-        return load_urdf(
-            path,
-            base_link=base_link,
-            end_effector=end_effector,
-            tool_link=tool_link,
-            lock=lock,
-            posture=posture,
-        )
-    if any(value is not None for value in given):
-        raise RobotError(
-            "--base-link, --end-effector, --tool-link, --lock and --posture apply only to a URDF; select a URDF file with --robot"
-        )
-    return load_robot_file(path)
 
 
 def check_dynamics(robot: Robot) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeflyer_fmus.errors import RobotError
+from freeflyer_fmus.robot.visual import Appearance
 
 Array = NDArray[np.float64]
 
@@ -136,7 +137,7 @@ class Robot:
     the body that joint i moves, given in the frame of joint i. `end_effector_rotation` and
     `end_effector_translation` are the pose of the end-effector frame E in the last joint frame.
     `tool` is fixed to the last body and is given in E. `posture` (n) contains the joint positions
-    at the start.
+    at the start. `appearance` is what a viewer shows in addition. No equation contains it.
 
     Raises RobotError if sizes are inconsistent or if values are impossible.
     """
@@ -150,6 +151,7 @@ class Robot:
     end_effector_translation: Array
     tool: Inertial = field(default_factory=Inertial.zero)
     posture: Array
+    appearance: Appearance = field(default_factory=Appearance)
 
     def __post_init__(self) -> None:
         # Check the base, and the sizes of the chain.

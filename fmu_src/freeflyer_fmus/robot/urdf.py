@@ -7,16 +7,20 @@ fixed or locked joint are merged into one body.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from freeflyer.foundation import toml_file
+from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.suggestions import did_you_mean, unknown_keys
 from freeflyer_fmus.errors import RobotError
 from freeflyer_fmus.robot.robot import Array, Inertial, Joint, Robot, constant
 from freeflyer_fmus.robot.urdf_tree import UrdfJoint, UrdfTree
+from freeflyer_fmus.robot.urdf_visuals import read_visuals
+from freeflyer_fmus.robot.visual import Appearance, Visual
 
 ROBOTS = Path(__file__).parent.parent / "robots"
 DEFAULT_ROBOT = ROBOTS / "lwr4_free_flyer.toml"
@@ -37,6 +41,40 @@ def robot_path(text: str, directory: Path = Path()) -> Path:
             f"robot {text!r} is neither a shipped robot nor a file name with a suffix{did_you_mean(text, shipped_robots())}"
         )
     return ROBOTS / f"{text}.toml" if text in shipped_robots() else directory / text
+
+
+def load_robot(
+    source: str | os.PathLike[str] = DEFAULT_ROBOT.stem,
+    *,
+    base_link: str | None = None,
+    end_effector: str | None = None,
+    tool_link: str | None = None,
+    lock: Mapping[str, float] | None = None,
+    posture: Mapping[str, float] | Sequence[float] | None = None,
+) -> Robot:
+    """Return a robot. `source` is the name of a shipped robot, a robot file (.toml), or a URDF.
+
+    The keywords apply to a URDF only. `base_link` (default: the root) is the floating base,
+    `end_effector` (default: the only link without children) has the frame E, and the mass and
+    inertia of `tool_link` become FMU parameters. `lock` fixes joints at positions [rad or m], and
+    `posture` has the start positions [rad or m] of the free joints. Raises RobotError.
+    """
+    path = robot_path(text_of(source, "the robot", RobotError))
+    given = [base_link, end_effector, tool_link, posture, *(lock or ())]
+    if path.suffix != ".toml":
+        return load_urdf(
+            path,
+            base_link=base_link,
+            end_effector=end_effector,
+            tool_link=tool_link,
+            lock=lock,
+            posture=posture,
+        )
+    if any(value is not None for value in given):
+        raise RobotError(
+            "--base-link, --end-effector, --tool-link, --lock and --posture apply only to a URDF; select a URDF file with --robot"
+        )
+    return load_robot_file(path)
 
 
 def load_robot_file(path: Path = DEFAULT_ROBOT) -> Robot:
@@ -134,9 +172,20 @@ def _robot(
     rotation, translation = np.eye(3), -base_inertial.centre_of_mass
     free: list[Joint] = []
     bodies: list[Inertial] = []
-    body = _welded(
-        tree, base, rotation, translation, path[0] if path else None, {base, tool}, lock, tip
-    )
+    visuals: list[Visual] = []
+    shapes, notes = read_visuals(tree)
+
+    def draw(link: str, rotation: Array, translation: Array) -> None:
+        """Collect the shapes of a link. Its pose is given in the frame of the last free joint."""
+        visuals.extend(
+            shape.placed(len(free), rotation, translation) for shape in shapes.get(link, ())
+        )
+
+    first = path[0] if path else None
+    body = _welded(tree, base, rotation, translation, first, {base, tool}, lock, tip, draw)
+    mount_rotation, mount_translation = rotation, translation
+    if first is not None:
+        mount_rotation, mount_translation = first.rotation, translation + first.translation
     # Go along the chain from the base to the end-effector. A free joint starts a new body. The
     # frame of the new body is the joint frame, and its z axis is the joint axis.
     link, tool_pose = base, None
@@ -155,7 +204,7 @@ def _robot(
             rotation, translation = align.T, np.zeros(3)
         link = joint.child
         body = body.merged_with(
-            _welded(tree, link, rotation, translation, following, {base, tool}, lock, tip)
+            _welded(tree, link, rotation, translation, following, {base, tool}, lock, tip, draw)
         )
         if link == tool:
             tool_pose = (rotation, translation)
@@ -184,6 +233,13 @@ def _robot(
         end_effector_translation=end_translation,
         tool=tool_inertial,
         posture=_posture(tree, free, posture),
+        appearance=Appearance(
+            visuals=tuple(visuals),
+            mount_rotation=mount_rotation,
+            mount_translation=mount_translation,
+            locked=lock,
+            notes=tuple(notes),
+        ),
     )
 
 
@@ -196,14 +252,16 @@ def _welded(
     apart: set[str | None],
     lock: Mapping[str, float],
     tip: str,
+    draw: Callable[[str, Array, Array], None],
 ) -> Inertial:
     """Return the mass and inertia of `link` and of all links that are fixed to it.
 
     (rotation, translation) is the pose of `link` in the frame of its body. The result is in the
     frame of the body. The joint `skip` continues the chain; the links below this joint are not
-    included. The mass of a link in `apart` is not included. Raises RobotError if a free joint is
-    not on the chain to the end-effector `tip`.
+    included. The mass of a link in `apart` is not included. `draw` is called with each link and its
+    pose. Raises RobotError if a free joint is not on the chain to the end-effector `tip`.
     """
+    draw(link, rotation, translation)
     own = tree.links[link]
     total = (
         Inertial.zero() if own is None or link in apart else own.seen_from(rotation, translation)
@@ -218,7 +276,7 @@ def _welded(
             )
         R, r = rotation @ joint.rotation, translation + rotation @ joint.translation
         R, r = joint.displaced(R, r, lock.get(joint.name, 0.0))
-        total = total.merged_with(_welded(tree, joint.child, R, r, None, apart, lock, tip))
+        total = total.merged_with(_welded(tree, joint.child, R, r, None, apart, lock, tip, draw))
     return total
 
 

@@ -13,10 +13,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from freeflyer.foundation import bounded_file
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_fmus.errors import RobotError
 from freeflyer_fmus.robot.robot import Array, Inertial, Joint, constant
 
+LARGEST_FILE = 16 << 20
+"""Largest size of a URDF [bytes]."""
 MOVING = ("revolute", "continuous", "prismatic")
 
 
@@ -71,14 +74,14 @@ class UrdfTree:
 
     def __init__(self, path: Path) -> None:
         try:
-            root = ElementTree.parse(path).getroot()
+            root = ElementTree.fromstring(bounded_file.content(path, LARGEST_FILE))
         except OSError as error:
             raise RobotError(f"URDF {path} cannot be read: {error.strerror}") from error
-        except ElementTree.ParseError as error:
+        except (ElementTree.ParseError, ValueError, LookupError) as error:  # also: encodings
             raise RobotError(f"URDF {path} is not well-formed XML: {error}") from error
         if root.tag != "robot":
             raise RobotError(f"URDF {path}: the root element is <{root.tag}>; <robot> is expected")
-        self.path = path
+        self.path, self.element = path, root
         self.name = root.get("name", path.stem)
         self.links: dict[str, Inertial | None] = {}
         for element in root.findall("link"):
@@ -187,19 +190,19 @@ class UrdfTree:
         if parent is None or child is None:
             raise RobotError(f"URDF {self.path}: joint {name!r} lacks its parent or child link")
         subject = f"joint {name!r}"
-        rotation, translation = self._origin(element.find("origin"), subject)
+        rotation, translation = self.origin(element.find("origin"), subject)
         axis_element = element.find("axis")
         axis = (
             np.array([1.0, 0.0, 0.0])
             if axis_element is None
-            else self._vector(axis_element, "xyz", subject)
+            else self.vector(axis_element, "xyz", subject)
         )
         if kind != "fixed" and not np.linalg.norm(axis) > 0.0:
             raise RobotError(f"URDF {self.path}: joint {name!r} has an axis of zero length")
         limit = element.find("limit")
         bounded = limit is not None and kind in ("revolute", "prismatic")
-        lower = self._number(limit, "lower", subject, 0.0) if bounded else -math.inf
-        upper = self._number(limit, "upper", subject, 0.0) if bounded else math.inf
+        lower = self.number(limit, "lower", subject, 0.0) if bounded else -math.inf
+        upper = self.number(limit, "upper", subject, 0.0) if bounded else math.inf
         if lower > upper:
             raise RobotError(
                 f"URDF {self.path}: joint {name!r} has lower limit {lower:g} above upper limit {upper:g}"
@@ -214,8 +217,8 @@ class UrdfTree:
             axis=axis / np.linalg.norm(axis) if kind != "fixed" else axis,
             lower=lower,
             upper=upper,
-            velocity=self._number(limit, "velocity", subject, math.inf),
-            effort=self._number(limit, "effort", subject, math.inf),
+            velocity=self.number(limit, "velocity", subject, math.inf),
+            effort=self.number(limit, "effort", subject, math.inf),
         )
 
     def _inertial(self, link: ElementTree.Element, name: str) -> Inertial | None:
@@ -228,9 +231,9 @@ class UrdfTree:
             raise RobotError(
                 f"URDF {self.path}: {subject} has an <inertial> without <mass> or <inertia>"
             )
-        mass = self._number(mass_element, "value", subject, None)
+        mass = self.number(mass_element, "value", subject, None)
         entry = {
-            key: self._number(inertia_element, key, subject, 0.0)
+            key: self.number(inertia_element, key, subject, 0.0)
             for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
         }
         inertia = np.array(
@@ -242,7 +245,7 @@ class UrdfTree:
         )
         if mass == 0.0 and not inertia.any():
             return None
-        rotation, translation = self._origin(element.find("origin"), subject)
+        rotation, translation = self.origin(element.find("origin"), subject)
         inertial = Inertial(
             mass=mass, centre_of_mass=constant(np.zeros(3), (3,)), inertia=constant(inertia, (3, 3))
         )
@@ -250,26 +253,34 @@ class UrdfTree:
         inertial.check(f"URDF {self.path}, {subject}")
         return inertial
 
-    def _origin(self, element: ElementTree.Element | None, subject: str) -> tuple[Array, Array]:
+    def origin(self, element: ElementTree.Element | None, subject: str) -> tuple[Array, Array]:
         if element is None:
             return np.eye(3), np.zeros(3)
-        return _rotation_from_rpy(self._vector(element, "rpy", subject)), self._vector(
+        return _rotation_from_rpy(self.vector(element, "rpy", subject)), self.vector(
             element, "xyz", subject
         )
 
-    def _vector(self, element: ElementTree.Element, key: str, subject: str) -> Array:
-        text = element.get(key, "0 0 0")
+    def vector(
+        self,
+        element: ElementTree.Element | None,
+        key: str,
+        subject: str,
+        count: int = 3,
+        default: str = "0 0 0",
+    ) -> Array:
+        text = default if element is None else element.get(key, default)
         try:
             values = np.array([float(part) for part in text.split()])
         except ValueError:
             values = np.array([])
-        if values.shape != (3,) or not np.isfinite(values).all():
+        if values.shape != (count,) or not np.isfinite(values).all():
+            number = {3: "three", 4: "four"}[count]
             raise RobotError(
-                f"URDF {self.path}: {subject} has {key}={text!r}; three finite numbers are expected"
+                f"URDF {self.path}: {subject} has {key}={text!r}; {number} finite numbers are expected"
             )
         return values
 
-    def _number(
+    def number(
         self, element: ElementTree.Element | None, key: str, subject: str, default: float | None
     ) -> float:
         text = None if element is None else element.get(key)
