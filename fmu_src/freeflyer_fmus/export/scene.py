@@ -65,7 +65,8 @@ def robot_scene(
 
 def read_robot(path: Path, options: Mapping[str, Any]) -> dict[str, Any]:
     """Read a robot for the viewer (entry point). `options` are keywords of `load_robot`."""
-    return {"scene": robot_scene(path, **options)}
+    robot = load_robot(path, **options)
+    return {"scene": scene(robot), "posture": robot.posture.tolist()}
 
 
 def scene_json(robot: Robot) -> bytes:
