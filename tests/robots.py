@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib.metadata import distribution
 from pathlib import Path
+from typing import Any
 
 from freeflyer_fmus.robot.robot import Robot
 from freeflyer_fmus.robot.urdf import ROBOTS as SHIPPED
@@ -12,9 +13,26 @@ from freeflyer_fmus.robot.urdf import load_robot_file, load_urdf
 DATA = Path(__file__).parent / "data"
 
 
+def example(name: str) -> Path:
+    files = distribution("example-robot-data").files or []
+    return Path(str(next(file.locate() for file in files if file.name == name)))
+
+
+FOREIGN: dict[str, tuple[str, dict[str, Any]]] = {
+    "ur5": ("ur5_robot.urdf", {"base_link": "base_link", "end_effector": "tool0"}),
+    "xarm7": ("xarm7.urdf", {"base_link": "link_base"}),
+    "ur10": ("ur10_robot.urdf", {"base_link": "base_link", "end_effector": "tool0"}),
+    "z1": ("z1.urdf", {"base_link": "link00", "lock": {"jointGripper": -0.3}}),
+    "kinova": (
+        "kinova.urdf",
+        {"base_link": "j2s6s200_link_base", "end_effector": "j2s6s200_end_effector"},
+    ),
+}
+"""Robots of example-robot-data: URDF, and the options of `load_robot`."""
+
+
 def ur5_path() -> Path:
-    shipped = distribution("example-robot-data").files or []
-    return Path(str(next(file.locate() for file in shipped if file.name == "ur5_robot.urdf")))
+    return example("ur5_robot.urdf")
 
 
 def ur5() -> Robot:

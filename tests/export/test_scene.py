@@ -11,7 +11,6 @@ import sys
 import tomllib
 import zipfile
 from collections.abc import Callable
-from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -21,7 +20,7 @@ import pinocchio as pin
 import pytest
 from families import alternating, family
 from instances import Instance
-from robots import DATA
+from robots import DATA, FOREIGN, example
 from scipy.spatial.transform import Rotation
 
 from freeflyer.cli import main as command
@@ -42,22 +41,6 @@ WITH_ROBOT = ("free_flyer", "satellite", "arm_drive", "hand_kinematics")
 TOLERANCE = 1e-9
 
 
-def example(name: str) -> Path:
-    files = distribution("example-robot-data").files or []
-    return Path(str(next(file.locate() for file in files if file.name == name)))
-
-
-FOREIGN: dict[str, tuple[str, dict[str, Any]]] = {
-    "ur5": ("ur5_robot.urdf", {"base_link": "base_link", "end_effector": "tool0"}),
-    "xarm7": ("xarm7.urdf", {"base_link": "link_base"}),
-    "ur10": ("ur10_robot.urdf", {"base_link": "base_link", "end_effector": "tool0"}),
-    "z1": ("z1.urdf", {"base_link": "link00", "lock": {"jointGripper": -0.3}}),
-    "kinova": (
-        "kinova.urdf",
-        {"base_link": "j2s6s200_link_base", "end_effector": "j2s6s200_end_effector"},
-    ),
-}
-"""Robots of example-robot-data: URDF, and the options of `load_robot`."""
 GANTRY = {"end_effector": "hand", "tool_link": "gripper", "lock": {"swivel": 0.4}}
 SHIPPED_OPTIONS = {"base_link": "base", "end_effector": "end_effector", "lock": {"joint_e1": 0.3}}
 

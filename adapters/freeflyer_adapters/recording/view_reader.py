@@ -22,8 +22,8 @@ MOST_FAULTS = 500
 def read(path: Path, options: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the signals of a recording as a record, how its run ended, and its faults.
 
-    `options` are not used. The keys are `record`, `title`, `end`, `cause` and `marks`. Raises RecordError if the recording
-    cannot be read, or if it has no times of the scenario.
+    `options` are not used. The keys are `record`, `title`, `end`, `cause` and `marks`. Raises
+    RecordError if the recording cannot be read, or if it has no times of the scenario.
     """
     frame = read_recording(path)
     if "time" not in frame:

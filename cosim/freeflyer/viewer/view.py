@@ -28,8 +28,9 @@ from freeflyer.viewer.page import page
 GROUP = "freeflyer.view_readers"
 """Group of the entry points for files to view. The name is the suffix of the file, without a dot.
 
-The callable is called with the path and a mapping of options, which is empty. It returns a mapping: either `scene` and `posture` (the
-geometry of a robot, and its joint positions), or `record`, `title`, `end`, `cause` and `marks`.
+The callable is called with the path and a mapping of options, which is empty. It returns a mapping:
+either `scene` and `posture` (the geometry of a robot, and its joint positions), or `record`,
+`title`, `end`, `cause` and `marks`.
 """
 Scene = scenes.Scene
 LONGEST_LABEL = 60
