@@ -179,6 +179,10 @@ def runs(
     Raises RecordError if a folder does not exist.
     """
     single = isinstance(folder, str | os.PathLike)
+    if not single and not isinstance(folder, Sequence):
+        raise RecordError(f"the folder of runs is {one_line(repr(folder), 80)}; a path, or a list of paths, is expected")  # fmt: skip
+    if where is not None and not (isinstance(where, Mapping) and all(isinstance(key, str) for key in where)):  # fmt: skip
+        raise ScenarioError(f"where is {one_line(repr(where), 80)}; a mapping {{'COMPONENT.PARAMETER': value}} is expected")  # fmt: skip
     folders = [folder] if single else list(folder)  # type: ignore[arg-type]
     paths = [Path(text_of(one, "the folder of runs", RecordError)) for one in folders]
     if end is not None and end not in get_args(RunState):

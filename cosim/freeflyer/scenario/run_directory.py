@@ -52,7 +52,10 @@ from freeflyer.scenario.run_state import (
     state,
 )
 
-WRITTEN = (SUMMARY, RECORD, STOP, "facility.json", "energy_audit.*", "report.html", "view.html", "recording*.mcap", "flight_recording*.mcap", "can*.blf", "can*.asc")  # fmt: skip
+WRITTEN = (
+    SUMMARY, RECORD, STOP, "facility.json", "view.html", "energy_audit.json", "energy_audit.p[dn][fg]",
+    "recording.mcap", "recording_[0-9]*.mcap", "flight_recording.mcap", "can.blf", "can.asc", "can_*.blf", "can_*.asc",
+)  # fmt: skip
 """Patterns of the files that runs and their audits write. `overwrite` removes no other file."""
 Existing = Literal["keep", "overwrite"]
 """What happens to a directory that is not empty.
@@ -75,12 +78,12 @@ class RunDirectory:
 
     @classmethod
     def unique(cls, label: str, about: str, parent: Path = OUT) -> RunDirectory:
-        """Claim a new directory PARENT/LABEL-TIME-HASH. `about` is the text that is hashed.
+        """Claim a new directory PARENT/LABEL-TIME-HASH. TIME is UTC; `about` is hashed.
 
         `finish` makes PARENT/LABEL a link to the directory. Raises OutputError.
         """
         digest = hashlib.sha256(about.encode("utf-8", "surrogatepass")).hexdigest()[:8]
-        name = f"{label}-{time.strftime('%Y%m%d-%H%M%S')}-{digest}"
+        name = f"{label}-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}-{digest}"
         number = 1
         while True:
             try:

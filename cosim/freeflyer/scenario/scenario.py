@@ -137,8 +137,9 @@ class Scenario(Shown):
         raw = toml_file.parsed(self.source)
         apply(raw, changes)
         found = from_tables(raw, self.directory / f"{self.name}.toml")
-        all_changes = (*self.changes, *texts(changes))
-        return replace(found, keeps=self.keeps, ssp=self.ssp, changes=all_changes)
+        return replace(
+            found, keeps=self.keeps, ssp=self.ssp, changes=_latest((*self.changes, *texts(changes)))
+        )
 
     @property
     def table(self) -> Table:
@@ -172,7 +173,7 @@ def load(name: str | os.PathLike[str], changes: Changes = ()) -> Scenario:
     found = from_tables(*tables(text, changes))
     run = of_run(text)
     before = () if run is None else run["changes"]
-    return replace(found, changes=(*before, *texts(changes)))
+    return replace(found, changes=_latest((*before, *texts(changes))))
 
 
 def loaded(scenario: Scenario | str | os.PathLike[str], changes: Changes = ()) -> Scenario:
@@ -495,6 +496,11 @@ def texts(changes: Changes) -> list[str]:
     if not isinstance(changes, Mapping):
         return list(changes)
     return [f"{target}={_as_set(plain(value, target))}" for target, value in changes.items()]
+
+
+def _latest(changes: Iterable[str]) -> tuple[str, ...]:
+    """Return changes without those that a later one overrides."""
+    return tuple({change.partition("=")[0].strip(): change for change in changes}.values())
 
 
 def _as_set(value: object) -> str:

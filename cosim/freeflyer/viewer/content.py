@@ -21,7 +21,7 @@ from freeflyer.scenario.scenario import Scenario
 from freeflyer.viewer import kinematics
 from freeflyer.viewer.series import encoded, reduced
 
-LENGTH, ANGLE = 1e-8, 1e-8
+LENGTH, ANGLE = 1e-10, 1e-10
 """Resolution of positions [m], and of angles [rad] and quaternions."""
 RELATIVE = 1e-4
 """Resolution of all other values, relative to the range of the series."""
@@ -63,6 +63,8 @@ class Run:
     end: str
     cause: str | None
     marks: Sequence[Mapping[str, Any]] = ()
+    ended: float | None = None
+    """Simulated time [s] at the end. None: that of the last row."""
 
 
 def content(run: Run, scene: Mapping[str, Any] | None, patterns: Sequence[str]) -> dict[str, Any]:
@@ -93,12 +95,12 @@ def content(run: Run, scene: Mapping[str, Any] | None, patterns: Sequence[str]) 
     set_point = finder.set_point()
     joints = finder.joints()
     if scene is not None and joints is not None and joints.shape[1] != len(scene["joints"]):
-        joints = None
-        finder.notes.append("the robot of the scene has another number of joints than the record; the arm is not drawn")  # fmt: skip
+        joints = scene = None
+        finder.notes.append("the geometry has another number of joints than the record; the robot is not drawn")  # fmt: skip
     return {
         "label": run.label,
         "title": run.title,
-        "end": {"kind": run.end, "time": float(time[-1]) if time.size else 0.0, "cause": run.cause},
+        "end": {"kind": run.end, "time": _end_time(run), "cause": run.cause},
         "scene": scene,
         "time": encoded(time[rows], 1e-9),
         "base": pose(finder.pose("base_position"), finder.pose("base_orientation")),
@@ -337,6 +339,11 @@ def _active(finder: _Finder, time: Array) -> Iterator[dict[str, Any]]:
             }
 
 
+def _end_time(run: Run) -> float:
+    last = float(run.record.time[-1]) if run.record.rows else 0.0
+    return last if run.ended is None else run.ended
+
+
 def _end(run: Run, time: Array) -> Iterator[dict[str, Any]]:
     if run.end != "completed" and time.size:
-        yield {"kind": "stop", "time": float(time[-1]), "until": None, "text": run.cause or run.end}
+        yield {"kind": "stop", "time": _end_time(run), "until": None, "text": run.cause or run.end}

@@ -57,11 +57,14 @@ def checked(found: Any, where: str) -> Scene:
 
 
 def of_scenario(
-    scenario: Scenario, parameters: Mapping[str, Mapping[str, Any]]
+    scenario: Scenario,
+    parameters: Mapping[str, Mapping[str, Any]],
+    tokens: Mapping[str, str] | None = None,
 ) -> tuple[Scene | None, list[str]]:
     """Return the scene of the first component with a scene, and notes about what is missing.
 
-    `parameters` are those of the run. The masses of the scene are replaced by them.
+    `parameters` are those of the run. The masses of the scene are replaced by them. `tokens` are
+    the instantiation tokens of the FMUs of the run, if they are known.
     """
     notes = []
     for spec in scenario.components:
@@ -74,7 +77,10 @@ def of_scenario(
             notes.append(f"no geometry from component {spec.name}: {one_line(error)}")
             continue
         if scene is not None:
-            return with_parameters(scene, parameters.get(spec.name, {})), []
+            token = (tokens or {}).get(spec.name)
+            changed = token is not None and token != fmu_description.describe_fmu(path).guid
+            notes = [f"the geometry is that of {path}, which is not the FMU of the run"] if changed else []  # fmt: skip
+            return with_parameters(scene, parameters.get(spec.name, {})), notes
     return None, [*notes, "the run has no geometry: no FMU of the scenario contains a scene; give the robot with --robot FILE"]  # fmt: skip
 
 

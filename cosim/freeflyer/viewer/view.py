@@ -13,7 +13,8 @@ import numpy as np
 
 from freeflyer.fmi.fmu_description import ports_in
 from freeflyer.foundation import toml_file
-from freeflyer.foundation.errors import CosimError, RecordError, one_line
+from freeflyer.foundation.errors import CosimError, OutputError, RecordError, one_line
+from freeflyer.foundation.exit_codes import BAD_INPUT
 from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.output_file import write_text
 from freeflyer.foundation.plugins import load, plugins
@@ -51,12 +52,17 @@ class View:
     directory: Path
 
     def write(self, path: str | os.PathLike[str] | None = None) -> Path:
-        """Write the file (default: view.html beside the run), and return its path.
+        """Write the file, and return its path. By default, it is view.html in `directory`.
 
-        Raises OutputError.
+        Raises OutputError if the file cannot be written, or if its name does not end in .html.
         """
         target = self.directory / "view.html" if path is None else Path(text_of(path, "the file"))
-        write_text(target, self.text)
+        if target.suffix.lower() != ".html" or target.is_dir():
+            raise _bad_file(f"{path!s:.200} is not a file name that ends in .html")
+        try:
+            write_text(target, self.text)
+        except OutputError as error:
+            raise _bad_file(str(error)) from error
         return target
 
     def _repr_html_(self) -> str:
@@ -101,11 +107,18 @@ def view(
     for one, label in zip(shown, labels, strict=True):
         scene = other if other is not None else one.scene
         made = content(replace(one.run, label=label), scene, signals)
-        made["notes"] += [] if scene is not None else one.notes
+        made["notes"] += one.notes if scene is None or other is None else []
+        made["notes"] += scene.get("notes", []) if scene is not None else []
         contents.append(made)
     title = " and ".join(labels)
     notes = [note for made in contents for note in made["notes"]]
     return View(text=page(title, contents), title=title, notes=notes, directory=shown[0].directory)
+
+
+def _bad_file(text: str) -> OutputError:
+    failure = OutputError(text)
+    failure.exit_code = BAD_INPUT
+    return failure
 
 
 def _labels(runs: Sequence[Run]) -> list[str]:
@@ -124,7 +137,7 @@ def _source(source: Result | str | os.PathLike[str]) -> _Shown:
         return _of_result(source, source.scenario.name, Path())
     text = text_of(source, "the run to view", CosimError)
     path = Path(text)
-    if text not in scenario.shipped() and run_state.is_run(path):
+    if run_state.is_run(path):
         saved = open_run(path)
         return _of_result(saved, saved.scenario.name, path)
     suffix = path.suffix.lower().removeprefix(".")
@@ -149,9 +162,10 @@ def _is_robot(path: Path) -> bool:
 def _of_result(result: Result, label: str, directory: Path) -> _Shown:
     record = result.record
     parameters = record.provenance.parameters if record.provenance else {}
-    scene, notes = scenes.of_scenario(result.scenario, parameters)
+    scene, notes = scenes.of_scenario(result.scenario, parameters, result.summary["run"]["tokens"])
     shown = Run(
         record=record,
+        ended=result.outcome.simulated,
         scenario=result.scenario,
         label=label,
         title=result.scenario.title,
