@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -175,7 +177,7 @@ def test_runs_are_listed_filtered_and_compared(
     assert [item["parameters"]["base_controller.period"] for item in compared] == [0.1, 0.2]
     with pytest.raises(RecordError, match="at least two are needed"):
         ff.runs(one.directory).compare()
-    with pytest.raises(RecordError, match="cannot be read"):
+    with pytest.raises(RecordError, match="there is no folder"):
         ff.runs(tmp_path / "nowhere")
 
 
@@ -196,3 +198,45 @@ def test_a_run_does_not_write_to_the_directory_of_a_sweep(tmp_path: Path) -> Non
     with pytest.raises(OutputError, match="other files than a run"):
         ff.run(SCENARIO, SHORT, directory=out)
     assert names(out) == {"sweep.json"}
+
+
+def test_settings_that_differ_are_named(tmp_path: Path) -> None:
+    one = ff.run(SCENARIO, {"stop_s": 0.3})
+    other = ff.run(SCENARIO, {"stop_s": 0.3, "exchange": "parallel", "record.every_s": 0.02})
+    found = one.differences(other)
+    assert "setting exchange: 'sequential' and 'parallel'" in " ".join(found) or (
+        "setting exchange: missing and 'parallel'" in found
+    )
+    assert "setting record.every_s: 0.01 and 0.02" in found
+    one.save(tmp_path / "one")
+    other.save(tmp_path / "other")
+    rows = {
+        row[0]: row[1:] for row in ff.runs([tmp_path / "one", tmp_path / "other"]).compare().rows
+    }
+    assert rows["record.every_s"] == ("0.01", "0.02")
+
+
+def test_a_change_that_a_later_one_overrides_is_not_listed(tmp_path: Path) -> None:
+    ff.run(SCENARIO, {"stop_s": 0.1, "base_controller.period": 0.2}, directory=tmp_path / "one")
+    again = ff.run(tmp_path / "one", {"base_controller.period": 0.25})
+    assert again.scenario.changes == ("stop_s=0.1", "base_controller.period=0.25")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ({"folder": None}, "the folder of runs is None"),
+        ({"where": {1: 0.3}}, "where is {1: 0.3}"),
+        ({"where": "a.b=1"}, "where is 'a.b=1'"),
+        ({"where": {"base_controler.period": 0.3}}, "did you mean 'base_controller.period'"),
+        ({"scenario": "multirate_pasive"}, "did you mean 'multirate_passive'"),
+        ({"folder": "missing"}, "there is no folder missing"),
+    ],
+)
+def test_a_mistake_in_a_filter_is_one_sentence(
+    arguments: dict[str, Any], expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ff.run("multirate_passive", {"stop_s": 0.01}, directory="one")
+    with pytest.raises(CosimError, match=re.escape(expected)):
+        ff.runs(**{"folder": ".", **arguments})

@@ -214,3 +214,21 @@ def test_a_source_that_cannot_be_viewed_is_one_sentence(
     with pytest.raises(CosimError, match=re.escape(expected)) as caught:
         view(*sources, **options)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["run/record.parquet", "", ".", "page.txt"])
+def test_a_page_never_replaces_another_file(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ff.run("multirate_passive", {"stop_s": 0.01}, directory="run")
+    before = (tmp_path / "run" / "record.parquet").read_bytes()
+    assert command.call(["view", "run", "--out", name]) == 2
+    assert "is not a file name that ends in .html" in capsys.readouterr().err
+    assert (tmp_path / "run" / "record.parquet").read_bytes() == before
+
+
+def test_the_page_has_the_time_at_which_a_run_diverged() -> None:
+    result = ff.run("multirate_unstable", {"record.every_s": 0.5})
+    end = content(view(result).text)["runs"][0]["end"]
+    assert (end["kind"], end["time"]) == ("diverged", result.outcome.simulated)

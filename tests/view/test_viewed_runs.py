@@ -100,4 +100,6 @@ def test_a_recording_is_shown_with_the_run_beside_it(
     data = (tmp_path / "run" / "recording.mcap").read_bytes()
     (tmp_path / "half.mcap").write_bytes(data[: len(data) * 2 // 3])
     assert command.call(["view", "half.mcap", "--no-open", "--out", "half.html"]) == 0
-    assert re.search("Note: the recording is shown without", capsys.readouterr().out)
+    shown = capsys.readouterr().out
+    assert re.search("Note: the recording is shown without errors and geometry", shown)
+    assert re.search("Note: half.mcap: the end of the recording is missing", shown)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -12,9 +13,10 @@ from freeflyer.foundation.errors import RecordError
 from freeflyer.foundation.exit_codes import DONE
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.scenario.run_directory import RunDirectory
-from freeflyer.scenario.run_state import has_rows, newer_incomplete, state
+from freeflyer.scenario.run_state import has_rows, is_run, newer_incomplete, owner, state
 from freeflyer.scenario.saved_run import complete
 from freeflyer_adapters.recording.recover import recover, rings_of, unfinished
+from freeflyer_adapters.recording.view_reader import record_of
 
 
 class RecoverCommand:
@@ -50,6 +52,11 @@ class RecoverCommand:
             runs = [*newer, *([path] if path.is_dir() else [])]
             paths = [file for run in runs for file in unfinished(run)]
             runs = [run for run in runs if state(run) == "incomplete"]
+            if (user := owner(path)) is not None:
+                raise RecordError(f"{path} is in use by {user}; wait until the run ends")
+            if not paths and not runs and is_run(path):
+                console.print(f"{path} is complete; nothing was written", soft_wrap=True)
+                return DONE
             if not paths and not runs:
                 raise RecordError(
                     f"{path} has no rows of an incomplete run, no recording, no CAN log and no ring of a run"
@@ -73,13 +80,15 @@ class RecoverCommand:
         # The folder `unfinished` is removed last: until then, the run stays incomplete.
         failures: list[RecordError] = []
         for run in runs:
-            if not has_rows(run):  # a run with devices has only recordings
-                RunDirectory.take_over(run).release()
-                continue
             try:
-                result, _ = complete(run)
+                # A run with devices has no rows, but recordings.
+                result, _ = complete(run, None if has_rows(run) else partial(record_of, run))
             except RecordError as error:  # the other runs are completed nevertheless
-                failures.append(error)
+                if not has_rows(run) and state(run) == "incomplete":
+                    RunDirectory.take_over(run).release()
+                    console.print(f"{run}: no record, because {error}", soft_wrap=True)
+                else:
+                    failures.append(error)
                 continue
             console.print(
                 f"{run}: kept {result.record.rows} rows, up to {result.outcome.simulated:g} s: record.parquet, summary.json",

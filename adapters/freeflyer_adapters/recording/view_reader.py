@@ -11,10 +11,12 @@ import pandas
 
 from freeflyer.foundation.errors import RecordError
 from freeflyer.master.record import Record, Signal
+from freeflyer.scenario.scenario import Scenario
 from freeflyer_adapters.recording.data_frame import read_recording
 
 LOSSES = ("lost", "late", "refused", "missed", "wrong", "dropped")
 """Parts of the names of the counters whose increments are faults."""
+UNFINISHED = "the end of the recording is missing; its last rows may be lost"
 MOST_FAULTS = 500
 """Largest number of faults that are returned for one counter."""
 
@@ -22,8 +24,8 @@ MOST_FAULTS = 500
 def read(path: Path, options: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the signals of a recording as a record, how its run ended, and its faults.
 
-    `options` are not used. The keys are `record`, `title`, `end`, `cause` and `marks`. Raises
-    RecordError if the recording cannot be read, or if it has no times of the scenario.
+    `options` are not used. The keys are `record`, `title`, `end`, `cause`, `notes` and `marks`.
+    Raises RecordError if the recording cannot be read, or if it has no times of the scenario.
     """
     frame = read_recording(path)
     if "time" not in frame:
@@ -36,11 +38,24 @@ def read(path: Path, options: Mapping[str, Any]) -> Mapping[str, Any]:
         "record": _record(frame),
         "title": run.get("title", path.stem),
         "end": "completed" if completed else "interrupted",
-        "cause": None if completed else reason or "the recording has no reason of a stop",
+        "cause": None if completed else reason or UNFINISHED,
+        "notes": [] if reason else [f"{path}: {UNFINISHED}"],
         "marks": [
             mark for name in frame if ": " in str(name) for mark in _faults(frame, str(name))
         ],
     }
+
+
+def record_of(directory: Path, scenario: Scenario) -> Record:
+    """Return the record of a run with devices from its recording, with the interval of its rows.
+
+    Raises RecordError if there is no recording, or if it cannot be read.
+    """
+    frame = read_recording(directory)
+    frame = frame[np.isfinite(frame["time"])] if "time" in frame else frame[:0]
+    instants = np.rint(frame["time"].to_numpy() * 1e9).astype(np.int64) if len(frame) else []
+    kept = np.flatnonzero(np.asarray(instants) % scenario.record_every == 0)
+    return _record(frame.iloc[kept])
 
 
 def _record(frame: pandas.DataFrame) -> Record:

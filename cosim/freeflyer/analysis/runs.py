@@ -16,7 +16,7 @@ from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.table import Shown, Table
 from freeflyer.scenario import run_state, summary_file
-from freeflyer.scenario.description import flat
+from freeflyer.scenario.description import flat, settings
 from freeflyer.scenario.overrides import parse_value
 from freeflyer.scenario.run_state import OUT
 
@@ -147,6 +147,7 @@ class Runs(Shown):
                 ("end", *(run.state for run in readable)),
             ],
             _lines([run.parameters for run in readable], only_different=True),
+            _lines([settings(run.summary["run"]) for run in readable], only_different=True),
             _lines([run.numbers for run in readable], only_different=False),
             _lines([run.summary["versions"] for run in readable], only_different=True),
         ]
@@ -156,7 +157,7 @@ class Runs(Shown):
             breaks.append(len(rows))
             rows += section
         return Table(
-            title="Parameters and versions that differ, errors and energies",
+            title="Parameters, settings and versions that differ, errors and energies",
             header=("", *(run.directory.name for run in readable)),
             rows=rows,
             breaks=breaks[1:],
@@ -192,6 +193,7 @@ def runs(
     if not single:  # runs that the caller names keep their order
         order = {path: place for place, path in enumerate(unique.values())}
         found.sort(key=lambda run: order[run.directory])
+    _check_filters(found, scenario, where or {})
     found = [
         run
         for run in found
@@ -202,6 +204,23 @@ def runs(
     return Runs(folder=", ".join(map(str, paths)), found=found)
 
 
+def _check_filters(
+    found: Sequence[SavedRun], scenario: str | None, where: Mapping[str, Any]
+) -> None:
+    """Raise ScenarioError for a scenario or a parameter that no run has."""
+    names = {run.name for run in found}
+    if found and scenario is not None and scenario not in names:
+        raise ScenarioError(
+            f"no run has the scenario {scenario!r}{did_you_mean(scenario, sorted(names))}"
+        )
+    known = {target for run in found for target in run.parameters}
+    for target in where:
+        if known and target not in known:
+            raise ScenarioError(
+                f"no run has the parameter {target!r}{did_you_mean(target, sorted(known))}"
+            )
+
+
 def _directories(folder: Path) -> Iterator[Path]:
     """Yield the directories of runs in a folder, without links. A run itself is yielded."""
     try:
@@ -210,6 +229,8 @@ def _directories(folder: Path) -> Iterator[Path]:
             return
         with os.scandir(folder) as entries:
             paths = [folder / entry.name for entry in entries if entry.is_dir(follow_symlinks=False)]  # fmt: skip
+    except FileNotFoundError as error:
+        raise RecordError(f"there is no folder {folder}; a folder with runs is expected, which `freeflyer run` makes") from error  # fmt: skip
     except OSError as error:
         raise RecordError(f"folder {folder} cannot be read: {error.strerror}; a folder with runs is expected") from error  # fmt: skip
     yield from filter(run_state.is_run, sorted(paths))
@@ -267,4 +288,4 @@ def _shown(value: Any) -> str:
         return f"{value:.4g}"
     if isinstance(value, list):
         return f"[{', '.join(map(_shown, value))}]"
-    return "-" if value is None else str(value)
+    return "-" if value is None else one_line(str(value), LONGEST_CELL)

@@ -112,7 +112,11 @@ class RunCommand:
             fmi, compare = fmi or repeated.fmi, repeated.differences
         else:
             chosen = loaded(name, arguments.overrides, arguments.step)
-            compare = open_run(source).differences if of_run(name) else None
+            about = of_run(name)
+            compare = open_run(source).differences if about else None
+            if about is not None and about["engine"] == "devices":
+                compare = None
+                console.print(f"Note: {name} is a run with devices; their models are simulated here (`freeflyer hil {name}` uses the devices)", soft_wrap=True)  # fmt: skip
         directory = experiment.claim(chosen, arguments.out, arguments.existing)
         with experiment.progress_bar(console, [chosen]) as reports:
             result = experiment.run(

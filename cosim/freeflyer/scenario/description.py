@@ -11,6 +11,7 @@ import os
 import platform
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ import numpy as np
 from freeflyer.fmi.component import Component
 from freeflyer.fmi.fmu_description import describe_fmu
 from freeflyer.foundation import toml_file
+from freeflyer.foundation.errors import one_line
+from freeflyer.foundation.toml_file import as_written
 from freeflyer.master.provenance import Provenance
 from freeflyer.master.record import Record
 from freeflyer.scenario.assemble import OF_FMUS
@@ -127,9 +130,10 @@ def differences(
         return []
     one, two = first["run"], second["run"]
     found = [
-        f"{what} {name}: {a!r} and {b!r}"
+        f"{what} {name}: {one_line(as_written(a), 80)} and {one_line(as_written(b), 80)}"
         for what, pairs in (
             ("parameter", changed(flat(one["parameters"]), flat(two["parameters"]))),
+            ("setting", changed(settings(one), settings(two))),
             ("version of", changed(first["versions"], second["versions"])),
             ("machine:", changed(one["machine"], two["machine"])),
         )
@@ -161,6 +165,27 @@ def _columns(one: Record, two: Record) -> Iterator[str]:
     if gaps:
         name = max(gaps, key=gaps.__getitem__)
         yield f"{len(gaps)} signals differ, {name} most, by up to {gaps[name]:.3g}"
+
+
+def settings(run: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of the scenario of a run, without the parameters of its components.
+
+    Nested keys are joined by dots: {"exchange": "parallel", "record.every_s": 0.01, ...}.
+    """
+    found: dict[str, Any] = {}
+
+    def take(table: Mapping[str, Any], prefix: str) -> None:
+        for key, value in table.items():
+            name = f"{prefix}{key}"
+            if isinstance(value, dict):
+                if not (prefix.startswith("components.") and key == "parameters"):
+                    take(value, f"{name}.")
+            elif name not in ("title", "paper"):
+                found[name] = value
+
+    with suppress(ValueError):  # `load` reports it
+        take(toml_file.parsed(run["scenario"]), "")
+    return found
 
 
 def flat(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

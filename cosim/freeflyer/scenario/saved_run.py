@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -78,10 +79,13 @@ def _scenario(folder: Path, run: dict[str, Any]) -> Scenario:
     return from_tables(raw, Path(run["directory"], f"{run['name']}.toml"))
 
 
-def complete(directory: Path) -> tuple[Result, RunDirectory]:
+def complete(
+    directory: Path, recorded: Callable[[Scenario], Record] | None = None
+) -> tuple[Result, RunDirectory]:
     """Write the results of a run whose process has died, from its rows.
 
-    The result has the verdict "interrupted", unless the last row is that at the stop time. Raises
+    `recorded` returns the record of a run that has no rows, for example from its recording. The
+    result has the verdict "interrupted", unless the last row is that at the stop time. Raises
     RecordError if the process still runs, or if no row was written. Raises OutputError.
     """
     claimed = RunDirectory.take_over(directory)
@@ -96,7 +100,7 @@ def complete(directory: Path) -> tuple[Result, RunDirectory]:
             scenario = _scenario(directory, about)
         except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
             raise RecordError(f"run {directory} had not begun when its process ended; there is nothing to recover, remove this directory") from error  # fmt: skip
-        record = Record.from_rows(rows / ROWS)
+        record = recorded(scenario) if recorded else Record.from_rows(rows / ROWS)
         if not record.rows:
             raise RecordError(
                 f"run {directory} has no row; there is nothing to recover, remove this directory"

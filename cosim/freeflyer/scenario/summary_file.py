@@ -11,7 +11,7 @@ from freeflyer.foundation import bounded_file
 from freeflyer.foundation.errors import RecordError
 from freeflyer.foundation.keys import Schema, fits
 from freeflyer.master.provenance import are_parameters
-from freeflyer.scenario.run_state import DEAD, DESCRIPTION, UNFINISHED
+from freeflyer.scenario.run_state import DEAD, DESCRIPTION, UNFINISHED, owner
 
 FORMAT = 1
 """Number of the format. A later version of the package may have a larger number."""
@@ -44,8 +44,13 @@ def read(directory: Path) -> dict[str, Any]:
         found = json.loads(bounded_file.content(path, LARGEST))
         number = found["run"]["format"]
     except FileNotFoundError as error:
-        other = "it is a sweep: give the number of a run (--case)" if (directory / "sweep.json").exists() else "it is no run, or an incomplete one (`freeflyer recover` completes it)"  # fmt: skip
-        raise RecordError(f"{directory} has no summary.json: {other}") from error
+        if (directory / "sweep.json").exists():
+            other = "is a sweep; give the number of a run (--case)"
+        elif (user := owner(directory)) is not None:
+            other = f"is a run that has not finished; it is in use by {user}"
+        else:
+            other = "has no summary.json; it is no run, or an incomplete one (`freeflyer recover` completes it)"  # fmt: skip
+        raise RecordError(f"{directory} {other}") from error
     except OSError as error:
         raise RecordError(f"{path} cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:

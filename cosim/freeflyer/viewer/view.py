@@ -31,7 +31,7 @@ GROUP = "freeflyer.view_readers"
 
 The callable is called with the path and a mapping of options, which is empty. It returns a mapping:
 either `scene` and `posture` (the geometry of a robot, and its joint positions), or `record`,
-`title`, `end`, `cause` and `marks`.
+`title`, `end`, `cause`, `notes` and `marks`.
 """
 Scene = scenes.Scene
 LONGEST_LABEL = 60
@@ -229,9 +229,7 @@ def _of_recording(path: Path, found: Mapping[str, Any]) -> _Shown:
         scene, notes = scenes.of_scenario(chosen, parameters)
         errors = metrics.errors(chosen, record)
     except (CosimError, LookupError) as error:
-        notes = [
-            f"the recording is shown without what the run beside it declares: {one_line(error)}"
-        ]
+        notes = [f"the recording is shown without errors and geometry: {one_line(error)}"]
     shown = Run(
         record=record,
         scenario=chosen,
@@ -242,7 +240,7 @@ def _of_recording(path: Path, found: Mapping[str, Any]) -> _Shown:
         cause=found["cause"],
         marks=found["marks"],
     )
-    return _Shown(run=shown, scene=scene, notes=notes, directory=path.parent)
+    return _Shown(run=shown, scene=scene, notes=[*notes, *found["notes"]], directory=path.parent)
 
 
 def _at_rest(posture: Sequence[float]) -> Record:

@@ -529,6 +529,6 @@ export class Stage {
   automaticFactor(t) {
     const largest = Math.max(0, ...this.actors.map((actor) => actor.run.deviationNear(t)));
     if (!(largest > 0)) return 1;
-    return Math.min(1e6, Math.max(1, 10 ** Math.floor(Math.log10((0.45 * this.size) / largest))));
+    return Math.min(1000, Math.max(1, 10 ** Math.floor(Math.log10((0.45 * this.size) / largest))));
   }
 }
