@@ -38,7 +38,7 @@ def test_functions_and_commands_write_the_same_files(
     run.save("function")
     one, other = ((Path(k) / "record.parquet").read_bytes() for k in ("command", "function"))
     assert one == other
-    timed = ("wall_s", "started")
+    timed = ("wall_s", "started", "sha256")
     one, other = (
         {
             key: value

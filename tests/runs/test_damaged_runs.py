@@ -289,3 +289,17 @@ def test_a_record_that_was_changed_after_the_run_is_not_opened_as_its_result(
     ff.run(SCENARIO, {"stop_s": 0.06}).record.write(run / RECORD)
     with pytest.raises(CosimError, match="is not the record that the run has written"):
         ff.open_run(run)
+
+
+def test_a_number_that_was_edited_in_a_summary_is_found(tmp_path: Path) -> None:
+    ff.run("multirate_passive", {"stop_s": 0.01}, directory=tmp_path / "run")
+    path = tmp_path / "run" / SUMMARY
+    text = path.read_text()
+    summary = json.loads(text)
+    summary["base_position_error_m"]["max"] = 1e-12
+    path.write_text(json.dumps(summary))
+    with pytest.raises(ff.RecordError, match="does not agree with its hash"):
+        ff.open_run(tmp_path / "run")
+    assert ff.runs(tmp_path)[0].state == "unreadable"
+    path.write_text(json.dumps(json.loads(text), indent=8))  # another layout is no change
+    assert ff.open_run(tmp_path / "run").verdict == "completed"

@@ -232,3 +232,14 @@ def test_the_page_has_the_time_at_which_a_run_diverged() -> None:
     result = ff.run("multirate_unstable", {"record.every_s": 0.5})
     end = content(view(result).text)["runs"][0]["end"]
     assert (end["kind"], end["time"]) == ("diverged", result.outcome.simulated)
+
+
+def test_a_run_of_an_ssp_file_has_the_geometry_in_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ff.write_ssp(ff.load("multirate_passive"), "loop.ssp")
+    ff.run(ff.load_ssp("loop.ssp", {"stop_s": 0.01}), directory="run")
+    assert view("run").notes == []
+    (tmp_path / "loop.ssp").unlink()
+    assert any("no geometry" in note for note in view("run").notes)

@@ -33,6 +33,7 @@ from freeflyer.scenario.parameters import Values, current
 from freeflyer.scenario.run_directory import Existing, RunDirectory
 from freeflyer.scenario.run_state import RECORD
 from freeflyer.scenario.scenario import Scenario, loaded
+from freeflyer.scenario.summary_file import sealed
 from freeflyer.scenario.verdict import End, as_expected, end_of, sentence
 
 if TYPE_CHECKING:
@@ -121,7 +122,7 @@ class Result(Shown):
         Raises OutputError. The run then stays incomplete.
         """
         with interrupts():  # after Ctrl-C during the first file, the second file is still written
-            directory.finish({RECORD: self.record.write_file}, self.summary)
+            directory.finish({RECORD: self.record.write_file}, sealed(self.summary))
 
     def differences(self, other: Result) -> list[str]:
         """Return what differs between this run and another, in sentences.

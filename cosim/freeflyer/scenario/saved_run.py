@@ -76,7 +76,8 @@ def _scenario(folder: Path, run: dict[str, Any]) -> Scenario:
         raw = parsed(run["scenario"])
     except ValueError as error:
         raise RecordError(f"the scenario in the summary.json of {folder} is not valid TOML: {error}") from error  # fmt: skip
-    return from_tables(raw, Path(run["directory"], f"{run['name']}.toml"))
+    found = from_tables(raw, Path(run["directory"], f"{run['name']}.toml"))
+    return replace(found, ssp=run.get("ssp"), changes=tuple(run["changes"]))
 
 
 def complete(

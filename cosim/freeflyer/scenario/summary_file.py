@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +16,7 @@ from freeflyer.scenario.run_state import DEAD, DESCRIPTION, UNFINISHED, owner
 
 FORMAT = 1
 """Number of the format. A later version of the package may have a larger number."""
+SEAL = "sha256"
 LARGEST = 64 << 20
 """Largest accepted size [bytes] of the file."""
 NUMBER: Schema = {"type": "number", "minimum": -1e308, "maximum": 1e308}
@@ -64,8 +66,20 @@ def read(directory: Path) -> dict[str, Any]:
     wrong = wrong_of_run(found["run"]) or _wrong(found, RESULT) or _wrong_numbers(found)
     if wrong:
         raise RecordError(f"{path} was changed after the run: {wrong!r:.60} is not as it was written")  # fmt: skip
+    seal = found.pop(SEAL, None)
+    if seal is not None and seal != _hash(found):
+        raise RecordError(f"{path} was changed after the run: its content does not agree with its hash ({SEAL})")  # fmt: skip
     result: dict[str, Any] = found
     return result
+
+
+def sealed(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content of summary.json with its hash, by which `read` detects a change."""
+    return {**summary, SEAL: _hash(summary)}
+
+
+def _hash(summary: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(summary, sort_keys=True).encode()).hexdigest()
 
 
 def begun(directory: Path) -> dict[str, Any]:

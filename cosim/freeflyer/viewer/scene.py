@@ -5,13 +5,15 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from freeflyer.fmi import fmu_description
+from freeflyer.fmi import archive, fmu_description
 from freeflyer.fmi.archive import ArchiveError
 from freeflyer.foundation.equal_inertia_box import equal_inertia_box
 from freeflyer.foundation.errors import CosimError, RecordError, one_line
+from freeflyer.foundation.temporary_folder import TemporaryFolder
 from freeflyer.scenario.assemble import OF_FMUS, find_fmu
 from freeflyer.scenario.scenario import Scenario
 
@@ -28,11 +30,11 @@ def of_fmu(path: Path) -> Scene | None:
     Raises RecordError if the scene is damaged. Raises ComponentError or OSError if the FMU cannot
     be read.
     """
-    with fmu_description.opened(path) as archive:
-        if ENTRY not in archive.names:
+    with fmu_description.opened(path) as content:
+        if ENTRY not in content.names:
             return None
         try:
-            return checked(json.loads(archive.read(ENTRY, LARGEST)), str(path))
+            return checked(json.loads(content.read(ENTRY, LARGEST)), str(path))
         except (ArchiveError, ValueError, RecursionError) as error:
             raise RecordError(f"the scene in {path} cannot be read: {one_line(error)}") from error
 
@@ -67,21 +69,34 @@ def of_scenario(
     the instantiation tokens of the FMUs of the run, if they are known.
     """
     notes = []
-    for spec in scenario.components:
-        if spec.kind not in OF_FMUS:
-            continue
-        try:
-            path = find_fmu(spec.name, spec.options, scenario.directory)
-            scene = of_fmu(path)
-        except (CosimError, OSError) as error:
-            notes.append(f"no geometry from component {spec.name}: {one_line(error)}")
-            continue
-        if scene is not None:
-            token = (tokens or {}).get(spec.name)
-            changed = token is not None and token != fmu_description.describe_fmu(path).guid
-            notes = [f"the geometry is that of {path}, which is not the FMU of the run"] if changed else []  # fmt: skip
-            return with_parameters(scene, parameters.get(spec.name, {})), notes
+    with TemporaryFolder() as folder, suppress(CosimError, OSError, ArchiveError):
+        if scenario.ssp is not None:
+            _unpack_fmus(Path(scenario.ssp["path"]), folder)
+        for spec in scenario.components:
+            if spec.kind not in OF_FMUS:
+                continue
+            try:
+                path = find_fmu(spec.name, spec.options, scenario.directory)
+                # The FMUs of an SSP file were unpacked during the run only.
+                path = path if scenario.ssp is None else folder / path.name
+                scene = of_fmu(path)
+            except (CosimError, OSError) as error:
+                notes.append(f"no geometry from component {spec.name}: {one_line(error)}")
+                continue
+            if scene is not None:
+                token = (tokens or {}).get(spec.name)
+                changed = token is not None and token != fmu_description.describe_fmu(path).guid
+                notes = [f"the geometry is that of {path}, which is not the FMU of the run"] if changed else []  # fmt: skip
+                return with_parameters(scene, parameters.get(spec.name, {})), notes
     return None, [*notes, "the run has no geometry: no FMU of the scenario contains a scene; give the robot with --robot FILE"]  # fmt: skip
+
+
+def _unpack_fmus(path: Path, folder: Path) -> None:
+    """Write the FMUs in an SSP file into a folder. Raises OSError or ArchiveError."""
+    with archive.opened(path) as package:
+        for name in package.names:
+            if name.lower().endswith(".fmu"):
+                package.extract(name, folder / name.rpartition("/")[2])
 
 
 def with_parameters(scene: Scene, parameters: Mapping[str, Any]) -> Scene:
