@@ -333,3 +333,13 @@ def test_the_current_directory_is_used_if_it_is_empty_and_is_not_renamed(
         assert code == 2
         assert "it is the current directory and is not empty" in error
     assert names(tmp_path) == WHOLE
+
+
+@pytest.mark.parametrize("existing", ["keep", "overwrite"])
+def test_a_policy_without_a_directory_is_rejected(
+    existing: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ff.CosimError, match=f"--{existing} applies to a directory that is given"):
+        ff.run("multirate_passive", {"stop_s": 0.01}).save(existing=existing)  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []

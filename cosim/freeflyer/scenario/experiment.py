@@ -250,10 +250,12 @@ def claim(
     Without `directory`, the directory is freeflyer_out/LABEL-TIME-HASH. The default of `label` is
     the name of the scenario.
     """
-    if directory is None:
-        return RunDirectory.unique(label or scenario.name, scenario.source)
     if existing not in (None, *get_args(Existing)):
         raise CosimError(f"existing is {existing!r}; None, 'keep' or 'overwrite' is expected")
+    if directory is None and existing is not None:
+        raise CosimError(f"--{existing} applies to a directory that is given (--out); a new directory is empty")  # fmt: skip
+    if directory is None:
+        return RunDirectory.unique(label or scenario.name, scenario.source)
     return RunDirectory.claim(Path(text_of(directory, "the directory", OutputError)), existing)
 
 
