@@ -17,6 +17,7 @@ from families import family
 from loops import head
 from mcap.reader import make_reader
 
+from freeflyer.cli import main as command
 from freeflyer.foundation.errors import OutputError
 from freeflyer.scenario import scenario
 from freeflyer_adapters import read_recording
@@ -163,14 +164,16 @@ def test_without_a_recording_the_flight_recording_is_still_written(
 def test_an_unfinished_recording_of_an_earlier_run_is_not_overwritten(
     tmp_path: Path, runtime: Path
 ) -> None:
-    out = tmp_path / "out"
+    out, data = tmp_path / "out", b"\x89MCAP0\r\n and no end"
     out.mkdir()
-    (out / "recording.mcap").write_bytes(b"\x89MCAP0\r\n and no end")
-    run(tmp_path, stop=0.1)
-    aside = [path for path in out.iterdir() if path.name.startswith("recording_")]
-    assert [path.read_bytes() for path in aside] == [b"\x89MCAP0\r\n and no end"]
-    run(tmp_path, stop=0.1)  # the previous one is complete and is overwritten
-    assert len([path for path in out.iterdir() if path.name.startswith("recording_")]) == 1
+    (out / "recording.mcap").write_bytes(data)
+    arguments = ["hil", "facility", "--accelerated", "--set", "stop_s=0.1", "--out", str(out)]
+    assert command.call(arguments) == 2
+    assert [path.read_bytes() for path in out.iterdir()] == [data]
+    assert command.call([*arguments, "--keep"]) == 0
+    assert (tmp_path / "out.1" / "recording.mcap").read_bytes() == data
+    assert command.call(arguments) == 0  # a finished run is renamed
+    assert (tmp_path / "out.2" / "recording.mcap").read_bytes() != data
 
 
 @contextlib.contextmanager
