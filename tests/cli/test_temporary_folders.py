@@ -139,7 +139,8 @@ def test_nothing_remains_of_processes_that_are_killed_at_any_moment(place: Path)
         for process in processes:
             killed(process)
         next_start()
-        assert not list(place.iterdir())
+        # A process may die while Python's tempfile tries the directory with a file of its own.
+        assert not list(place.glob(f"{PREFIX}*"))
 
 
 def test_threads_at_once_have_folders_of_their_own(place: Path) -> None:
