@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from robots import FOREIGN
+from robots import example as example_robot
 
 import freeflyer as ff
 from freeflyer.cli import main as command
@@ -21,7 +23,7 @@ from freeflyer.foundation.errors import CosimError
 from freeflyer.viewer import kinematics, scene
 from freeflyer.viewer.series import encoded, reduced
 from freeflyer.viewer.view import view
-from freeflyer_fmus import fmu_path
+from freeflyer_fmus import fmu_path, robot_scene
 
 Series = dict[str, Any]
 
@@ -243,3 +245,25 @@ def test_a_run_of_an_ssp_file_has_the_geometry_in_the_file(
     assert view("run").notes == []
     (tmp_path / "loop.ssp").unlink()
     assert any("no geometry" in note for note in view("run").notes)
+
+
+def test_pages_of_100_s_are_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    one, other = (ff.run(name) for name in ("multirate_passive", "multirate_matched"))
+    assert one.record.rows == other.record.rows == 10_001
+    assert len(view(one, other).text.encode()) <= 3_000_000
+    file, options = FOREIGN["ur5"]
+    meshes = robot_scene(example_robot(file), **options)
+    monkeypatch.setattr(scene, "of_fmu", lambda path: meshes)
+    assert any(shape["shape"] == "mesh" for shape in meshes["visuals"])
+    assert len(view(one, other).text.encode()) <= 5_000_000
+
+
+@pytest.mark.slow
+def test_the_page_of_an_hour_is_small_and_keeps_the_largest_error() -> None:
+    result = ff.run("multirate_passive", {"stop_s": 3600})
+    shown = view(result)
+    assert len(shown.text.encode()) <= 8_000_000
+    assert any("poses" in note for note in shown.notes)
+    (plot,) = [p for p in content(shown.text)["runs"][0]["plots"] if p["title"] == "position error"]
+    largest = max(decoded(line["value"]).max() for line in plot["signals"])
+    assert largest == pytest.approx(result.summary["base_position_error_m"]["max"], rel=1e-4)

@@ -92,6 +92,8 @@ def content(run: Run, scene: Mapping[str, Any] | None, patterns: Sequence[str]) 
             "orientation": columns(_continuous(orientation), ANGLE),
         }
 
+    if rows.size < time.size:
+        finder.notes.append(f"the picture has {rows.size} of {time.size} poses; the plots keep all extremes")  # fmt: skip
     set_point = finder.set_point()
     joints = finder.joints()
     if scene is not None and joints is not None and joints.shape[1] != len(scene["joints"]):
