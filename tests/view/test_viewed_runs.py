@@ -21,6 +21,7 @@ from freeflyer.viewer.content import Run
 from freeflyer.viewer.content import content as content_of
 from freeflyer.viewer.page import page
 from freeflyer.viewer.view import _at_rest
+from freeflyer_adapters.recording import view_reader
 from freeflyer_fmus import robot_scene
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -103,3 +104,12 @@ def test_a_recording_is_shown_with_the_run_beside_it(
     shown = capsys.readouterr().out
     assert re.search("Note: the recording is shown without errors and geometry", shown)
     assert re.search("Note: half.mcap: the end of the recording is missing", shown)
+
+
+def test_a_recording_that_is_too_large_for_the_memory_is_not_read_as_a_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "recording.mcap").write_bytes(bytes(2000))
+    monkeypatch.setattr(view_reader, "LARGEST", 1000)
+    with pytest.raises(ff.RecordError, match="at most 1000 bytes are read at once"):
+        view_reader.record_of(tmp_path, ff.load("facility"))

@@ -9,14 +9,18 @@ from typing import Any
 import numpy as np
 import pandas
 
+from freeflyer.foundation.bounded_file import size
 from freeflyer.foundation.errors import RecordError
 from freeflyer.master.record import Record, Signal
 from freeflyer.scenario.scenario import Scenario
 from freeflyer_adapters.recording.data_frame import read_recording
+from freeflyer_adapters.recording.parts import parts
 
 LOSSES = ("lost", "late", "refused", "missed", "wrong", "dropped")
 """Parts of the names of the counters whose increments are faults."""
 UNFINISHED = "the end of the recording is missing; its last rows may be lost"
+LARGEST = 512 << 20
+"""Largest size of a recording [bytes] that is read as a whole. Its data need several times more."""
 MOST_FAULTS = 500
 """Largest number of faults that are returned for one counter."""
 
@@ -49,8 +53,11 @@ def read(path: Path, options: Mapping[str, Any]) -> Mapping[str, Any]:
 def record_of(directory: Path, scenario: Scenario) -> Record:
     """Return the record of a run with devices from its recording, with the interval of its rows.
 
-    Raises RecordError if there is no recording, or if it cannot be read.
+    Raises RecordError if there is no recording, or if it cannot be read or is too large.
     """
+    packed = sum(path.stat().st_size for path in parts(directory))
+    if packed > LARGEST:
+        raise RecordError(f"the recording in {directory} has {size(packed)}; at most {size(LARGEST)} are read at once. `read_recording` reads its parts")  # fmt: skip
     frame = read_recording(directory)
     frame = frame[np.isfinite(frame["time"])] if "time" in frame else frame[:0]
     instants = np.rint(frame["time"].to_numpy() * 1e9).astype(np.int64) if len(frame) else []
