@@ -17,8 +17,7 @@ from logging.handlers import SysLogHandler
 from pathlib import Path
 from typing import Any
 
-from freeflyer.foundation.errors import OutputError
-from freeflyer.foundation.exit_codes import BAD_INPUT
+from freeflyer.foundation.errors import OutputError, UnusableOutput
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.errors import DeviceError
@@ -261,12 +260,10 @@ def _reserved(path: Path, document: bytes) -> int:
             os.close(file)
             with suppress(OSError):
                 partial.unlink()
-        failure = OutputError(
+        raise UnusableOutput(
             f"{path} cannot be reserved for the reason of a stop: {_message(error)}; a directory with {SIZE} bytes of free space is "
             "expected: free some space, or give another directory"
-        )
-        failure.exit_code = BAD_INPUT
-        raise failure from error
+        ) from error
 
 
 def _overwrite(file: int, document: bytes) -> None:

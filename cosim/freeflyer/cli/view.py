@@ -24,7 +24,7 @@ class ViewCommand:
             "--out",
             type=Path,
             metavar="FILE.html",
-            help="default: view.html in the directory of the run",
+            help="default: view.html in the directory of the run, or in the current folder",
         )
         parser.add_argument(
             "--signal",

@@ -43,6 +43,12 @@ class OutputError(CosimError):
     exit_code = STOPPED
 
 
+class UnusableOutput(OutputError):
+    """Results can never be written to this place. A command finds it before the run."""
+
+    exit_code = BAD_INPUT
+
+
 class StepFailed(CosimError):
     """A component failed in a step. A run stops and keeps the results up to this step.
 

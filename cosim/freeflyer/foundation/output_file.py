@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from freeflyer.foundation.errors import OutputError
-from freeflyer.foundation.exit_codes import BAD_INPUT
+from freeflyer.foundation.errors import OutputError, UnusableOutput
 
 
 def write_whole(path: Path, write: Callable[[Path], object], *, durable: bool = False) -> None:
@@ -93,11 +92,9 @@ def check_writable(directory: Path) -> None:
         with tempfile.TemporaryFile(dir=place, buffering=0) as file:
             file.write(bytes(4096))  # a full disk accepts an empty file
     except OSError as error:
-        failure = OutputError(
+        raise UnusableOutput(
             f"output directory {directory} cannot be written: {error.strerror or error}"
-        )
-        failure.exit_code = BAD_INPUT
-        raise failure from error
+        ) from error
 
 
 def _exists(path: Path) -> bool:

@@ -23,7 +23,7 @@ import numpy as np
 
 from freeflyer.fmi.component import Array
 from freeflyer.foundation import bounded_file
-from freeflyer.foundation.errors import OutputError, RecordError
+from freeflyer.foundation.errors import RecordError, UnusableOutput
 
 MAGIC = b"freeflyer-rows 1"
 LINE = 64
@@ -53,9 +53,7 @@ def create(path: Path, header: Mapping[str, Any], rows: int, width: int) -> tupl
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         need = f" It needs {size / 2**30:.3g} GiB; increase [record] every_s or reduce stop_s, or choose a directory on another disk" if full else ""  # fmt: skip
-        failure = OutputError(f"{path} for the rows of the record cannot be created: {error.strerror or error}.{need}")  # fmt: skip
-        failure.exit_code = 2
-        raise failure from error
+        raise UnusableOutput(f"{path} for the rows of the record cannot be created: {error.strerror or error}.{need}") from error  # fmt: skip
     return times, values
 
 

@@ -27,8 +27,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from freeflyer.foundation import process_identity
-from freeflyer.foundation.errors import CosimError, OutputError
-from freeflyer.foundation.exit_codes import BAD_INPUT
+from freeflyer.foundation.errors import CosimError, OutputError, UnusableOutput
 from freeflyer.foundation.output_file import write_text, write_whole
 from freeflyer.scenario import newest_run_link
 from freeflyer.scenario.newest_run_link import free_name
@@ -107,7 +106,7 @@ class RunDirectory:
         # A process may have died after it wrote summary.json.
         if not found._took_over or (directory / SUMMARY).exists():
             found.abandon()
-            raise _error(f"{directory} is not the directory of an incomplete run")
+            raise UnusableOutput(f"{directory} is not the directory of an incomplete run")
         name = UNIQUE.fullmatch(found.path.name)
         if name is not None:
             link = found.path.with_name(name[1])
@@ -188,7 +187,7 @@ class RunDirectory:
                         self._took_over = (self.path / DEAD).exists()
                         return
                     self._take(own)
-            raise _error(f"output directory {self.shown(self.path)} is in use by other processes; choose another directory")  # fmt: skip
+            raise UnusableOutput(f"output directory {self.shown(self.path)} is in use by other processes; choose another directory")  # fmt: skip
         finally:
             shutil.rmtree(own, ignore_errors=True)
 
@@ -202,7 +201,7 @@ class RunDirectory:
         with claim_of(self.path) as (handles, user, _):
             if user is not None:
                 self._made = []
-                raise _error(f"output directory {self.shown(self.path)} is in use by {user}; wait until it ends, or choose another directory")  # fmt: skip
+                raise UnusableOutput(f"output directory {self.shown(self.path)} is in use by {user}; wait until it ends, or choose another directory")  # fmt: skip
             if not _renamed(own, Path(TAKEN), handles[-1]):
                 return
             if not os.path.samestat(os.fstat(handles[0]), os.stat(folder)):
@@ -356,7 +355,7 @@ class RunDirectory:
         above = next((one for one in (self.path, *self.path.parents) if os.path.lexists(one)), None)
         if above is not None and not above.is_dir():
             reason = f"{self.shown(above)} is not a directory"
-        return _error(f"output directory {self.shown(self.path)} cannot be used: {reason}")
+        return UnusableOutput(f"output directory {self.shown(self.path)} cannot be used: {reason}")
 
     @property
     def lines(self) -> Iterator[str]:
@@ -398,9 +397,3 @@ def _sweep(directory: Path) -> None:
     """Remove the folders of processes that died while they claimed a directory."""
     for folder in directory.glob(f"{private('')}*"):
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _error(text: str) -> OutputError:
-    failure = OutputError(text)
-    failure.exit_code = BAD_INPUT
-    return failure

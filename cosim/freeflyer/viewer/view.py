@@ -13,8 +13,13 @@ import numpy as np
 
 from freeflyer.fmi.fmu_description import ports_in
 from freeflyer.foundation import toml_file
-from freeflyer.foundation.errors import CosimError, OutputError, RecordError, one_line
-from freeflyer.foundation.exit_codes import BAD_INPUT
+from freeflyer.foundation.errors import (
+    CosimError,
+    OutputError,
+    RecordError,
+    UnusableOutput,
+    one_line,
+)
 from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.output_file import write_text
 from freeflyer.foundation.plugins import load, plugins
@@ -43,7 +48,8 @@ class View:
     """A page that shows runs. `text` is the HTML file; it needs no other file and no network.
 
     Its values are in SI units; plots have the units of the record. `notes` are sentences about what
-    cannot be shown. `directory` is the default directory of the file. A notebook shows the page.
+    cannot be shown. `directory` is the default directory of the file: that of the run, or the
+    working directory. A notebook shows the page.
     """
 
     text: str
@@ -58,11 +64,11 @@ class View:
         """
         target = self.directory / "view.html" if path is None else Path(text_of(path, "the file"))
         if target.suffix.lower() != ".html" or target.is_dir():
-            raise _bad_file(f"{path!s:.200} is not a file name that ends in .html")
+            raise UnusableOutput(f"{path!s:.200} is not a file name that ends in .html")
         try:
             write_text(target, self.text)
         except OutputError as error:
-            raise _bad_file(str(error)) from error
+            raise UnusableOutput(str(error)) from error
         return target
 
     def _repr_html_(self) -> str:
@@ -113,12 +119,6 @@ def view(
     title = " and ".join(labels)
     notes = [note for made in contents for note in made["notes"]]
     return View(text=page(title, contents), title=title, notes=notes, directory=shown[0].directory)
-
-
-def _bad_file(text: str) -> OutputError:
-    failure = OutputError(text)
-    failure.exit_code = BAD_INPUT
-    return failure
 
 
 def _labels(runs: Sequence[Run]) -> list[str]:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from freeflyer.analysis.audit import recorded_loop, report
 from freeflyer.analysis.audit.ledger import Ledger, ledger
-from freeflyer.foundation.errors import OutputError, RecordError
-from freeflyer.foundation.exit_codes import BAD_INPUT
+from freeflyer.foundation.errors import OutputError, RecordError, UnusableOutput
 from freeflyer.foundation.file_name import text_of
 from freeflyer.foundation.output_file import staged, write_text
 from freeflyer.foundation.table import Shown, Table
@@ -71,9 +70,7 @@ class Audit(Shown, Ledger):
                 write_text(stage / "energy_audit.json", json.dumps(content, indent=2) + "\n")
                 self._check(folder)  # another run may have replaced the record meanwhile
         except OSError as error:
-            failure = OutputError(f"the audit cannot be written to {folder}: {error.strerror or error}")  # fmt: skip
-            failure.exit_code = BAD_INPUT
-            raise failure from error
+            raise UnusableOutput(f"the audit cannot be written to {folder}: {error.strerror or error}") from error  # fmt: skip
 
     def _check(self, folder: Path) -> None:
         """Raise OutputError if the folder belongs to another run, or to one that still runs."""
@@ -84,9 +81,7 @@ class Audit(Shown, Ledger):
         elif path.exists() and Record.read(path).digest != self.record_sha256:
             reason = "the record of another run than the audited one"
         if reason:
-            failure = OutputError(f"the audit cannot be written to {folder}: it has {reason}; choose another directory")  # fmt: skip
-            failure.exit_code = BAD_INPUT
-            raise failure
+            raise UnusableOutput(f"the audit cannot be written to {folder}: it has {reason}; choose another directory")  # fmt: skip
 
 
 def audit(source: Result | Record | str | os.PathLike[str]) -> Audit:
